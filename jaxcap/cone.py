@@ -1,0 +1,57 @@
+"""The centroidal cone of a contact set, as faces."""
+
+from dataclasses import dataclass
+
+import jax
+import numpy as np
+from jaxtyping import Float
+
+from jaxcap.contacts import ContactSet, FloatArray
+from jaxcap.friction import wrench_rays
+from jaxcap.projection import ProjectionError, cone_faces
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class CentroidalCone:
+    """All wrenches that the contacts can exert: faces @ (force, torque about `origin`) <= 0, (6).
+
+    A row is a face, an equality a pair of opposite rows; rows of zeros are padding. Rows are scaled such that
+    (faces[:, :3], faces[:, 3:] / length) have unit length.
+    """
+
+    faces: Float[FloatArray, "m 6"]
+    """[-] for the three columns of force, [1/m] for those of torque."""
+    origin: Float[FloatArray, "3"]
+    """Centroid of the contact points [m]: a robot far from the world's origin is scored like one near it."""
+    length: Float[FloatArray, ""]
+    """Distance of the farthest contact point from the origin [m], or 1 for a single point: the scale of rounding errors."""
+
+    def padded(self, rows: int) -> "CentroidalCone":
+        """The same cone with at least this many rows: those added bound nothing."""
+        extra = max(0, rows - len(self.faces))
+        return CentroidalCone(np.pad(self.faces, ((0, extra), (0, 0))), self.origin, self.length)
+
+
+def centroidal_cone(contacts: ContactSet, sides: int = 4) -> CentroidalCone:
+    """Project the contacts' friction pyramids to the faces of the centroidal cone (6); host only, once a contact set.
+
+    contacts: at least one that is not masked. sides: edges of each friction pyramid, >= 3. The faces hold for any mass.
+    Raises ValueError for an empty set, sides < 3 or contacts under a JAX transformation (`cone_rays` takes those), and
+    ProjectionError, a ValueError, where the faces found do not pass their check against the rays.
+    """
+    if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(contacts)):
+        raise ValueError("centroidal_cone works on the host, once for each contact set: call it outside jit, vmap and grad")
+    active = jax.tree.map(lambda leaf: np.asarray(leaf)[np.asarray(contacts.mask)], contacts)
+    if len(active) == 0:
+        raise ValueError(f"contacts: none of {len(contacts)} is active (expected at least one)")
+    origin = active.points.mean(axis=0)
+    length = np.linalg.norm(active.points - origin, axis=1).max() or 1.0
+    scale = np.array([1, 1, 1, length, length, length])
+    rays = wrench_rays(active, sides, origin) / scale
+    try:
+        faces = cone_faces(rays)
+    except ProjectionError as error:
+        raise ProjectionError(f"faces of {len(active)} contacts with {sides} sides: {error}") from error
+    order = np.lexsort(np.round(faces, 9).T)
+    return CentroidalCone(faces=faces[order] / scale, origin=origin, length=np.float64(length))

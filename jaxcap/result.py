@@ -1,0 +1,72 @@
+"""What the predictor answers: how a state ends, whether to trust it, and the figures."""
+
+from enum import IntEnum
+from typing import NamedTuple
+
+from jaxtyping import Array, Bool, Float, Int8
+
+
+class Case(IntEnum):
+    """How the state ends: the leaves of the decision tree (Fig. 3), and EMPTY."""
+
+    UNDECIDED = -1
+    """No answer was found; `Status` says why."""
+    C1 = 0
+    """Diverges: the smallest feasible acceleration turns non-negative while rising. Not capturable."""
+    C2 = 1
+    """Leaves the polygon: no acceleration keeps the contacts. Not capturable."""
+    C3_1 = 2
+    """Under maximum deceleration it stops where it can stand. Capturable."""
+    C3_2_1 = 3
+    """Could stop too early, and decelerating less it reaches a place where it can stand. Capturable."""
+    C3_2_2 = 4
+    """Stops too early however little it decelerates, and falls back. Not capturable."""
+    C3_3 = 5
+    """Stops beyond the places where it can stand and swings back (a hanging robot). Either verdict."""
+    EMPTY = 6
+    """Nowhere along its line could the robot stand still. Not capturable."""
+
+
+class Status(IntEnum):
+    """Whether to trust the answer. The verdict is never positive unless the status is OK, NO_DIRECTION or MAX_SWINGS."""
+
+    OK = 0
+    NO_DIRECTION = 1
+    """Zero velocity: capturable if and only if the CoM is in static equilibrium; margin and speeds are NaN."""
+    MAX_STEPS = 2
+    """The polygon has more edges than the walk may take; undecided."""
+    MAX_SWINGS = 3
+    """The verdict and margins stand, but the robot still swings when the bound on swings is reached: no time, distance."""
+    NONFINITE = 4
+    """The state holds NaN or infinity; undecided."""
+
+
+class Capturability(NamedTuple):
+    """The answer for one state, or arrays of answers with one leading axis for many.
+
+    Speeds are along the direction of the given velocity. Where no speed in that direction is capturable, `min_speed` and
+    `max_speed` are both zero, and the margin is minus the whole speed.
+    """
+
+    capturable: Bool[Array, "..."]
+    """Whether the robot can come to rest without moving a contact."""
+    case: Int8[Array, "..."]
+    """A `Case`."""
+    status: Int8[Array, "..."]
+    """A `Status`."""
+    margin: Float[Array, "..."]
+    """Speed that could be added, or that would have to be shed or added, before the verdict flips [m/s]. Exact; not
+    negative if and only if capturable. Infinite where every speed is capturable."""
+    min_speed: Float[Array, "..."]
+    """Smallest capturable speed [m/s]: below it the robot does not reach a place where it can stand."""
+    max_speed: Float[Array, "..."]
+    """Largest capturable speed [m/s], possibly infinite."""
+    paper_margin: Float[Array, "..."]
+    """The proxy of Section III-D: where capturable, the largest deceleration at the place where the CoM stops under
+    maximum deceleration [m/s^2]; where not, minus the speed that is left [m/s]."""
+    distance: Float[Array, "..."]
+    """Path length to the stop [m], NaN where there is no stop."""
+    time: Float[Array, "..."]
+    """Duration of that manoeuvre [s], NaN where there is no stop."""
+    residual_speed: Float[Array, "..."]
+    """Speed that is left where the walk ends in C1 or C2 [m/s], zero where it stops."""
