@@ -46,7 +46,8 @@ def numpy_type(kind: pa.DataType, where: str) -> np.dtype:
     if types.is_string(kind) or types.is_large_string(kind):
         return np.dtype("U1")
     if types.is_fixed_size_list(kind) and kind.list_size:
-        return np.dtype((numpy_type(kind.value_type, where), (kind.list_size,)))
+        inner = numpy_type(kind.value_type, where)
+        return np.dtype((inner.base, (kind.list_size, *inner.shape)))
     timed = types.is_date32(kind) or types.is_duration(kind) or (types.is_timestamp(kind) and kind.tz is None)
     if types.is_boolean(kind) or is_number(kind) or timed:
         return np.asarray(pa.array([], kind).to_numpy(zero_copy_only=False)).dtype
@@ -72,7 +73,7 @@ def to_numpy(column: pa.Array, where: str) -> np.ndarray:
 
 
 def arrow_field(name: str, dtype: np.dtype, metadata: dict[str, str] | None = None) -> pa.Field:
-    """The Arrow field for a NumPy type; rows that are arrays become fixed-size lists. Raises InputError if none fits."""
+    """The Arrow field for a NumPy type; arrays in rows become fixed-size lists. Raises InputError if none fits."""
     try:
         kind = pa.from_numpy_dtype(dtype.base.newbyteorder("="))
     except pa.ArrowException:

@@ -2,12 +2,12 @@
 
 import json
 from collections.abc import Iterable, Mapping
-from importlib.metadata import PackageNotFoundError, version
 from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
+import jaxcap
 from jaxcap.contacts import ContactSet
 from jaxcap.errors import InputError
 from jaxcap.result import Capturability, Case, Status
@@ -76,7 +76,7 @@ def output_columns(out: Capturability, dtype: np.dtype) -> dict[str, np.ndarray]
 def describe(contacts: ContactSet, gravity: Iterable[float], sides: int, dtype: np.dtype) -> dict[str, Any]:
     """What the output file says about itself: conventions, units, names of codes, what it was computed from."""
     return {
-        "written_by": f"jaxcap {_version()}",
+        "written_by": f"jaxcap {jaxcap.__version__}",
         "conventions": "one inertial frame for all positions and velocities, z up, SI units; "
         "frames: columns are tangent, tangent, normal pointing at the robot",
         "units": {"com": "m", "com_velocity": "m/s"} | {name: field.unit for name, field in FIELDS.items()},
@@ -118,13 +118,3 @@ def refuse_clashes(path, names: Iterable[str], reserved: Iterable[str] = tuple(F
     for name in names:
         if name in reserved:
             raise InputError(f"{path}: column {name!r} has the name of an output column; rename or drop it")
-
-
-def _version() -> str:
-    try:
-        return version("jaxcap")
-    except PackageNotFoundError:  # run from a checkout
-        return "(not installed)"
-
-
-assert tuple(FIELDS) == Capturability._fields

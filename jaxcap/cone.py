@@ -30,7 +30,8 @@ class CentroidalCone:
     def padded(self, rows: int) -> "CentroidalCone":
         """The same cone with at least this many rows: those added bound nothing."""
         extra = max(0, rows - len(self.faces))
-        return CentroidalCone(np.pad(self.faces, ((0, extra), (0, 0))), self.origin, self.length)
+        xp = self.faces.__array_namespace__()
+        return CentroidalCone(xp.pad(self.faces, ((0, extra), (0, 0))), self.origin, self.length) if extra else self
 
 
 def centroidal_cone(contacts: ContactSet, sides: int = 4) -> CentroidalCone:

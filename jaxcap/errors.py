@@ -18,4 +18,6 @@ def needs_extra(extra: str, purpose: str) -> Iterator[None]:
     try:
         yield
     except ModuleNotFoundError as error:
+        if error.name is None or error.name.startswith("jaxcap"):
+            raise
         raise MissingExtra(f'{purpose} needs {error.name}; install it with: pip install "jaxcap[{extra}]"') from error

@@ -35,6 +35,11 @@ class Member(NamedTuple):
         """Shape of one row."""
         return self.shape[1:]
 
+    @property
+    def width(self) -> int:
+        """Length of one row [bytes]."""
+        return math.prod(self.row) * self.dtype.itemsize
+
 
 class NpzStates:
     """An open NPZ file of states. Iterating yields a StateBatch for each `batch_size` rows.
@@ -60,18 +65,17 @@ class NpzStates:
             }
         for member in members.values():
             if member.dtype.hasobject:
-                raise InputError(f"{self.path}: {member.name!r} holds pickled Python objects, which are never unpickled")
+                raise InputError(f"{self.path}: {member.name!r} holds pickled objects, which are never unpickled")
         self._vectors = {vector: spelling(self.path, vector, members) for vector in VECTORS}
         required = [name for names in self._vectors.values() for name in names]
         for name in required:
             self._check(members[name], (3,) if name in VECTORS else ())
         self.rows = members[required[0]].shape[0]
         for name in required[1:]:
-            if members[name].shape[0] != self.rows:
-                raise InputError(
-                    f"{self.path}: {name!r} has {members[name].shape[0]} rows (expected {self.rows}, as {required[0]!r} has)"
-                )
-        self._members = {name: m for name, m in members.items() if m.shape[:1] == (self.rows,) and math.prod(m.row)}
+            n = members[name].shape[0]
+            if n != self.rows:
+                raise InputError(f"{self.path}: {name!r} has {n} rows (expected {self.rows}, as {required[0]!r} has)")
+        self._members = {name: m for name, m in members.items() if m.shape[:1] == (self.rows,) and m.width}
         self.skipped = [name for name in members if name not in self._members]
         refuse_clashes(self.path, self._members)
         for name, member in self._members.items():
@@ -101,7 +105,7 @@ class NpzStates:
     def _stream(self, member: Member) -> Iterator[np.ndarray]:
         """Rows of one array, `batch_size` at a time. An array in Fortran order is read at several places at once."""
         places = math.prod(member.row) if member.fortran else 1
-        width = member.dtype.itemsize * (1 if member.fortran else math.prod(member.row))
+        width = member.width // places
         with ExitStack() as stack:
             files = [stack.enter_context(self._archive.open(f"{member.name}.npy")) for _ in range(places)]
             for place, file in enumerate(files):
@@ -178,7 +182,7 @@ class Spool:
 
     def append(self, rows: np.ndarray) -> None:
         """Adds rows at the end."""
-        self.file.write(np.ascontiguousarray(rows).data.cast("B") if rows.size else b"")
+        self.file.write(np.ascontiguousarray(rows).reshape(-1).view(np.uint8))
         if self._runs and self._runs[-1][1] == rows.dtype:
             self._runs[-1] = (self._runs[-1][0] + len(rows), rows.dtype)
         else:

@@ -86,21 +86,25 @@ class ParquetStates:
 class ParquetWriter:
     """Writes a Parquet file row by row.
 
-    handle: the file, empty. types: NumPy type, or Arrow field, of each column. Raises InputError if a column does not fit
-    into a Parquet file.
+    handle: the file, empty. types: NumPy type, or Arrow field, of each column. Raises InputError if a column does not
+    fit into a Parquet file.
     """
 
     def __init__(self, handle: BinaryIO, types: Mapping[str, Any], metadata: Mapping[str, Any]):
-        fields = [arrow_field(name, kind, _about(name)) if isinstance(kind, np.dtype) else kind for name, kind in types.items()]
+        fields = [
+            arrow_field(name, kind, _about(name)) if isinstance(kind, np.dtype) else kind
+            for name, kind in types.items()
+        ]
         self._schema = pa.schema(fields, metadata={"jaxcap": to_json(metadata)})
         self._waiting: list[pa.Table] = []
         self._writer = pq.ParquetWriter(handle, self._schema)
 
     def write(self, columns: Mapping[str, Any]) -> None:
         """Appends rows. columns: one array for each of `types`, all with the same number of rows."""
+        arrays = [columns[name] for name in self._schema.names]
         arrays = [
-            to_arrow(columns[field.name], field.type) if isinstance(columns[field.name], np.ndarray) else columns[field.name]
-            for field in self._schema
+            to_arrow(array, field.type) if isinstance(array, np.ndarray) else array
+            for array, field in zip(arrays, self._schema, strict=True)
         ]
         self._waiting.append(pa.table(arrays, schema=self._schema))
         if sum(table.num_rows for table in self._waiting) >= ROW_GROUP:

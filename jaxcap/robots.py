@@ -1,10 +1,10 @@
 """Robot states through Pinocchio: (q, v) -> centre of mass, its velocity, angular momentum; where a robot can touch.
 
 Conventions are Pinocchio's. A configuration q of a free-flying robot starts with the base position in the world frame
-[m] and the base orientation as a unit quaternion in the order x, y, z, w; joint angles [rad] follow. A velocity v starts
-with the linear [m/s] and angular [rad/s] velocity of the base in the LOCAL frame of the base; joint velocities [rad/s]
-follow. What comes out is in the world frame, z up. Data recorded elsewhere (MuJoCo: w, x, y, z) has to be converted
-first; `convention_error` says whether it was.
+[m] and the base orientation as a unit quaternion in the order x, y, z, w; joint angles [rad] follow. A velocity v
+starts with the linear [m/s] and angular [rad/s] velocity of the base in the LOCAL frame of the base; joint velocities
+[rad/s] follow. What comes out is in the world frame, z up. Data recorded elsewhere (MuJoCo: w, x, y, z) has to be
+converted first; `convention_error` says whether it was.
 """
 
 import os
@@ -81,10 +81,10 @@ Soles: the plane is that of the sole frame, 0.107 m below the ankle (collision m
 foot's collision box in `talos_reduced_box.urdf`, 0.21 x 0.13 m, centred under the ankle as there. (The foot's collision
 mesh spans 0.221 x 0.134 m; its flat bottom, 0.195 x 0.117 m.)
 
-Hands: TALOS has no palm. A closed gripper pushed straight at a surface touches with the ends of its three fingers, all
-0.1516 m below `gripper_*_base_link` along -z; the outer corners of the tips are the trapezoid (+-0.0475, 0.0466),
-(+-0.0155, -0.0466) m in x, y. The rectangle, 0.068 x 0.046 m, is the largest inside that trapezoid with sides along y
-and x (0.0692 x 0.0475 m), rounded down; no vertex of the hand's collision meshes lies beyond its plane.
+Hands: TALOS has no palm. A gripper pushed straight at a surface touches with the ends of its three fingers, which this
+URDF fixes, all 0.1516 m below `gripper_*_base_link` along -z. The outer corners of the tips are the trapezoid
+(+-0.0475, 0.0466), (+-0.0155, -0.0466) m in x, y. The rectangle, 0.068 x 0.046 m, is the largest inside it with sides
+along y and x (0.0692 x 0.0475 m), rounded down; no vertex of the hand's collision meshes lies beyond its plane.
 """
 
 ANYMAL_FEET = {
@@ -93,7 +93,7 @@ ANYMAL_FEET = {
     "left_hind_foot": "LH_FOOT",
     "right_hind_foot": "RH_FOOT",
 }
-"""Frames whose origins are ANYmal's point contacts."""
+"""Frames whose origins are ANYmal's point contacts, as its SRDF stands (the foot's sphere ends 8 mm further down)."""
 
 
 def load_robot(
@@ -132,7 +132,7 @@ def load_robot(
 
 
 def talos(collisions: bool = False) -> Robot:
-    """TALOS of example-robot-data (90.3 kg), grippers locked closed: nq = 37, nv = 36. Posture: `half_sitting`."""
+    """TALOS of example-robot-data (90.3 kg), grippers locked at zero: nq = 37, nv = 36. Posture: `half_sitting`."""
     grippers = ("gripper_left_joint", "gripper_right_joint")
     return _example("talos_data", "robots/talos_reduced.urdf", "srdf/talos.srdf", collisions, grippers)
 
@@ -143,7 +143,7 @@ def anymal(collisions: bool = False) -> Robot:
 
 
 def _example(folder: str, urdf: str, srdf: str, collisions: bool, locked_joints=()) -> Robot:
-    """A robot of the package example-robot-data, which installs into the same prefix as Pinocchio (cmeel's, conda's)."""
+    """A robot of the package example-robot-data, which installs into the same prefix as Pinocchio."""
     share = Path(pin.__file__).parents[4] / "share"  # <prefix>/lib/python3.x/site-packages/pinocchio/__init__.py
     root = share / "example-robot-data" / "robots" / folder
     if not (root / urdf).is_file():
@@ -177,8 +177,8 @@ def convention_error(model: Model, configurations, velocities, dt: float) -> Flo
 
     configurations: (n, nq) at equal steps dt [s], n >= 3. velocities: (n, nv) at the same times.
     Returns the distance [m/s] between the CoM velocity and the central difference of the CoM, at all steps but the
-    first and last. It shrinks with dt^2 where the conventions are Pinocchio's. Where they are not (base velocity in the world
-    frame, quaternion w first, joints in another order) it is of the order of the speed, provided that the base turned.
+    first and last. It shrinks with dt^2 where the conventions are Pinocchio's. Where they are not (base velocity in the
+    world frame, quaternion w first, joints in another order) it is of the order of the speed, if the base is turned.
     """
     if not (np.ndim(dt) == 0 and np.isfinite(dt) and dt > 0):
         raise ValueError(f"dt = {dt} (expected a positive number of seconds)")
@@ -195,7 +195,9 @@ def contact_placement(model: Model, configuration, patch: ContactPatch):
     Columns of the rotation: direction of the length, of the width, normal pointing at the robot, as `jaxcap.rectangle`
     takes them. configuration: (nq,). Raises ValueError naming the field, or the frame that the model does not have.
     """
-    configuration = _rows("configuration", np.asarray(configuration)[None], "nq", model.nq)
+    if np.shape(configuration) != (model.nq,):
+        raise ValueError(f"configuration has shape {np.shape(configuration)} (expected ({model.nq},): nq = {model.nq})")
+    configuration = _rows("configurations", np.asarray(configuration)[None], "nq", model.nq)
     _check_units(model, configuration)
     if not model.existFrame(patch.frame):
         raise ValueError(f"patch.frame = {patch.frame!r} is no frame of {model.name}")

@@ -1,0 +1,1 @@
+"""Measurements and the data they run on; each module is a command."""

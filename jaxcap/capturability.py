@@ -1,0 +1,181 @@
+"""One state in, one answer out: verdict, case, margins, distance, time.
+
+The capturable speeds along a direction are one interval, and every decision of Algorithms 1 and 2 is a comparison of the
+speed with an energy integral (see `boundary`). Arrays carry their lanes last.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from jaxcap.boundary import Boundary, End
+from jaxcap.cone import CentroidalCone
+from jaxcap.numerics import direction, root, tolerances
+from jaxcap.polygon import Polygon, polygon
+from jaxcap.reach import reach_time
+from jaxcap.result import Capturability, Case, Status
+from jaxcap.swings import farthest_rest, swing
+
+GRAVITY = (0.0, 0.0, -9.81)
+"""[m/s^2], z up."""
+
+
+class Line(NamedTuple):
+    """The line of travel and the walk along it: everything that does not depend on the speed."""
+
+    rows: Polygon
+    s_min: Float[Array, "*n"]
+    s_max: Float[Array, "*n"]
+    """Ends of the static region [m]."""
+    standing: Bool[Array, "*n"]
+    """The static region is not empty."""
+    feasible: Bool[Array, "*n"]
+    """Some acceleration keeps the contacts at the start."""
+    ahead: Bool[Array, "*n"]
+    """The static region lies ahead, and gravity pulls away from it."""
+    hanging: Bool[Array, "*n"]
+    """The polygon goes on beyond the static region, and gravity pulls back into it."""
+    lower: Boundary
+    """Smallest acceleration, to its end."""
+    upper: Boundary
+    """Minus the largest acceleration, to s_min, where the static region is `ahead`."""
+
+
+class Speeds(NamedTuple):
+    """Where case and verdict change with the speed along a line [m/s]; infinite where they do not."""
+
+    smallest: Float[Array, "*n"]
+    """Below it the static region ahead cannot be reached."""
+    stops_before: Float[Array, "*n"]
+    """Below it maximum deceleration stops before the static region."""
+    stops_inside: Float[Array, "*n"]
+    """Up to it maximum deceleration stops before the far end of the static region."""
+    largest: Float[Array, "*n"]
+    """Up to it the robot comes to rest in the static region, perhaps after swings."""
+    stops: Float[Array, "*n"]
+    """Up to it maximum deceleration stops anywhere."""
+
+
+def capturability(
+    cone: CentroidalCone, com: Float[Array, "3"], com_velocity: Float[Array, "3"], gravity=GRAVITY
+) -> Capturability:
+    """Can the robot come to rest without moving a contact, its CoM decelerating along its own velocity?
+
+    cone: from `centroidal_cone`. com: (3,) [m], com_velocity: (3,) [m/s], gravity: (3,) [m/s^2], all in the contacts' frame,
+    z up. The dtype of `com` decides the precision. One state, pure: works under jit, vmap, jacfwd, jacrev and grad; `score`
+    is much faster for many. Never raises for the values of a state: see `Status`. Raises TypeError for a wrong shape.
+
+    Source: Section III, Algorithms 1 and 2, with the energy in place of time; C3.3, which the paper leaves open, by swings.
+    """
+    com, com_velocity = jnp.asarray(com), jnp.asarray(com_velocity)
+    for name, value in (("com", com), ("com_velocity", com_velocity)):
+        if value.shape != (3,):
+            raise TypeError(f"{name} has shape {value.shape} (expected (3,); `score` takes many states)")
+    return capturability_of_lanes(cone, com, com_velocity, gravity)
+
+
+def capturability_of_lanes(
+    cone: CentroidalCone, com: Float[Array, "3 *n"], com_velocity: Float[Array, "3 *n"], gravity
+) -> Capturability:
+    """`capturability` of states side by side, lanes last."""
+    dtype = jnp.promote_types(jnp.result_type(com, com_velocity), jnp.float32)
+    com, com_velocity = com.astype(dtype), com_velocity.astype(dtype)
+    finite = jnp.all(jnp.isfinite(com) & jnp.isfinite(com_velocity), axis=0)
+    along, speed = direction(jnp.where(finite, com_velocity, 0))
+    line = _line(polygon(cone, jnp.where(finite, com, 0), along, jnp.asarray(gravity, dtype)))
+    return _answer(line, speed, finite)
+
+
+def _line(rows: Polygon) -> Line:
+    s_min, s_max, standing = rows.static_region()
+    _, highest, feasible = rows.start()
+    lower = rows.boundary(jnp.where(feasible, jnp.inf, 0))
+    ahead = standing & feasible & (s_min > 0) & (highest < 0)
+    upper = rows.flipped().boundary(jnp.where(ahead, s_min, 0))
+    same_alpha = tolerances(s_min.dtype).same_alpha * rows.size
+    hanging = standing & feasible & (lower.ending != End.DIVERGES) & (s_max < lower.end - same_alpha)
+    return Line(rows, s_min, s_max, standing, feasible, ahead, hanging, lower, upper)
+
+
+def _speeds(line: Line) -> Speeds:
+    """By the energy integrals: to stop within alpha is to have no more energy than deceleration takes until there."""
+    rows, lower, s_min, s_max = line.rows, line.lower, line.s_min, line.s_max
+
+    def stops_within(alpha):
+        endless = (alpha == jnp.inf) | (lower.ending == End.FLOORLESS)
+        return jnp.where(alpha < 0, 0, jnp.where(endless, jnp.inf, root(-2 * lower.gain(jnp.maximum(alpha, 0)))))
+
+    stops = jnp.where(line.feasible, stops_within(lower.end), 0)
+    farthest = farthest_rest(rows, s_min, s_max, line.hanging)
+    inside = jnp.where(line.hanging, stops_within(s_max), stops)
+    largest = jnp.where(line.hanging, jnp.maximum(inside, stops_within(farthest)), stops)
+    before = jnp.where(line.ahead, jnp.minimum(stops_within(s_min), inside), 0)
+    smallest = jnp.where(line.ahead, jnp.minimum(root(2 * line.upper.gain(s_min)), before), 0)
+    some = line.standing & line.feasible
+    return Speeds(jnp.where(some, smallest, 0), before, inside, jnp.where(some, largest, 0), stops)
+
+
+def _case(line: Line, speeds: Speeds, speed):
+    """The leaf of the decision tree (Fig. 3)."""
+    return jnp.select(
+        [
+            ~line.standing,
+            ~line.feasible,
+            speed > speeds.stops,
+            line.ahead & (speed < speeds.smallest),
+            line.ahead & (speed < speeds.stops_before),
+            line.hanging & (speed > speeds.stops_inside),
+        ],
+        [
+            Case.EMPTY,
+            Case.C2,
+            jnp.where(line.lower.ending == End.DIVERGES, Case.C1, Case.C2),
+            Case.C3_2_2,
+            Case.C3_2_1,
+            Case.C3_3,
+        ],
+        Case.C3_1,
+    )
+
+
+def _answer(line: Line, speed, finite) -> Capturability:
+    speeds = _speeds(line)
+    case = _case(line, speeds, speed)
+    moving, lower = speed > 0, line.lower
+    # Where no speed is capturable the margin is minus the whole speed: `largest` is zero.
+    margin = jnp.minimum(speeds.largest - speed, jnp.where(line.ahead, speed - speeds.smallest, jnp.inf))
+    capturable = jnp.where(moving, margin >= 0, line.standing)
+
+    energy = speed * speed / 2
+    at_once = lower.ending == End.FLOORLESS
+    stop = jnp.where(at_once, 0, lower.stop(energy))
+    time = jnp.where(at_once, 0, lower.duration(energy, jnp.zeros_like(stop), stop, True))
+    reaching = case == Case.C3_2_1
+    reached = reach_time(lower, line.upper, line.s_min, energy, reaching)
+    swings = swing(line.rows, line.s_min, line.s_max, stop, (case == Case.C3_3) & moving)
+    residual = jnp.where(line.feasible, root((speed - speeds.stops) * (speed + speeds.stops)), speed)
+    residual = jnp.where(jnp.isfinite(speeds.stops), residual, 0) + swings.residual_speed
+    deceleration = jnp.where(at_once, jnp.inf, -lower.at(stop))
+
+    status = jnp.where(swings.swinging, Status.MAX_SWINGS, Status.OK)
+    status = jnp.where(moving, status, Status.NO_DIRECTION)
+    too_long = (lower.ending == End.MAX_PIECES) | (line.upper.ending == End.MAX_PIECES)
+    status = jnp.where(too_long, Status.MAX_STEPS, status)
+    status = jnp.where(finite, status, Status.NONFINITE)
+    decided = finite & ~too_long
+    capturable &= decided
+    figure = lambda known, value: jnp.where(decided & known, value, jnp.nan)
+    stopped = capturable & (status != Status.MAX_SWINGS)
+    return Capturability(
+        capturable=capturable,
+        case=jnp.where(decided, case, Case.UNDECIDED).astype(jnp.int8),
+        status=status.astype(jnp.int8),
+        margin=figure(moving, margin),
+        min_speed=figure(moving, speeds.smallest),
+        max_speed=figure(moving, speeds.largest),
+        paper_margin=figure(moving, jnp.where(capturable, deceleration, -residual)),
+        distance=figure(stopped, jnp.where(reaching, line.s_min, stop) + swings.distance),
+        time=figure(stopped, jnp.where(reaching, reached, time) + swings.time),
+        residual_speed=figure(True, jnp.where(capturable, 0, residual)),
+    )

@@ -1,0 +1,61 @@
+"""Tolerances, by dtype and named for what they bound, and functions guarded where they would be singular."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+
+class Tolerances(NamedTuple):
+    """Relative bounds on rounding errors."""
+
+    zero_coefficient: float
+    """A coefficient of a half-plane this small, relative to the largest it could be, is zero."""
+    slack: float
+    """Faces are moved outwards by this, relative to gravity's wrench: the cone is closed, and equalities can be met."""
+    parallel: float
+    """Two lines whose slopes differ by less than this, relatively, do not cross."""
+    same_alpha: float
+    """Positions this close, relative to the size of the stance and the CoM's distance from it, are one position."""
+
+
+def tolerances(dtype) -> Tolerances:
+    """The tolerances of a floating-point dtype."""
+    if jnp.finfo(dtype).bits == 64:
+        return Tolerances(zero_coefficient=1e-13, slack=1e-12, parallel=1e-14, same_alpha=1e-9)
+    return Tolerances(zero_coefficient=1e-6, slack=2e-6, parallel=1e-6, same_alpha=1e-4)
+
+
+def root(square: Float[Array, "*n"]) -> Float[Array, "*n"]:
+    """Square root, zero (and its gradient too) where the argument is not positive."""
+    positive = square > 0
+    return jnp.where(positive, jnp.sqrt(jnp.where(positive, square, 1)), 0)
+
+
+def ratio(numerator: Float[Array, "*n"], denominator: Float[Array, "*n"], otherwise=0.0) -> Float[Array, "*n"]:
+    """Quotient, `otherwise` where the denominator is zero."""
+    safe = denominator != 0
+    return jnp.where(safe, numerator / jnp.where(safe, denominator, 1), otherwise)
+
+
+def direction(velocity: Float[Array, "3 *n"]) -> tuple[Float[Array, "3 *n"], Float[Array, "*n"]]:
+    """Unit vector and norm; at zero velocity the direction is zero, and so is its gradient.
+
+    The velocity is scaled first, such that its square neither overflows nor vanishes.
+    """
+    size = jnp.max(jnp.abs(velocity), axis=0)
+    scale = jnp.where(size > 0, size, 1)
+    scaled = velocity / scale
+    norm = root(jnp.sum(scaled * scaled, axis=0))
+    return ratio(scaled, norm), norm * scale
+
+
+def atanh_ratio(z: Float[Array, "*n"]) -> Float[Array, "*n"]:
+    """atanh(sqrt z)/sqrt z for 0 < z < 1, atan(sqrt -z)/sqrt -z for z < 0, 1 at 0; z >= 1 is taken for just below 1."""
+    z = jnp.minimum(z, 1 - jnp.finfo(z.dtype).epsneg)
+    small = jnp.abs(z) < 1e-4
+    series = 1 + z * (1 / 3 + z * (1 / 5 + z / 7))
+    w = root(jnp.where(small, 1, jnp.abs(z)))
+    # atanh(w) = log1p(2w / (1 - w)) / 2: one logarithm, exact near 1
+    below = jnp.where(z > 0, w, 0.5)
+    return jnp.where(small, series, jnp.where(z > 0, 0.5 * jnp.log1p(2 * below / (1 - below)), jnp.arctan(w)) / w)

@@ -1,0 +1,150 @@
+"""Dataset files in and out: states read in batches, scores written beside them, whole or not at all."""
+
+import os
+import secrets
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, BinaryIO
+
+import numpy as np
+
+from jaxcap.columns import output_columns, output_types
+from jaxcap.errors import InputError, needs_extra
+from jaxcap.npz import NpzStates, NpzWriter
+from jaxcap.result import Capturability
+
+if TYPE_CHECKING:
+    from jaxcap.parquet import ParquetStates, ParquetWriter
+
+EXTENSIONS = (".parquet", ".npz")
+
+
+def read_states(path: str | Path, batch_size: int, dtype=np.float32) -> "ParquetStates | NpzStates":
+    """Opens a file of states, and checks what can be checked without reading its rows.
+
+    path: Parquet (.parquet) or NPZ (.npz) with the columns `com` [m] and `com_velocity` [m/s]: three floats or integers
+    a row (Parquet: fixed-size lists, or lists that all have three entries; NPZ: arrays (n, 3)), or com_x, com_y, com_z
+    and com_velocity_x, ... Nulls are read as NaN. batch_size: rows at a time, > 0. dtype: float32 or float64, of the
+    vectors.
+
+    Returns an open file, to be used in a `with` block: `rows` is the number of states, `types` the columns that are
+    carried through, `skipped` the NPZ arrays that are not, because they do not hold one value for each state. Iterating
+    yields a `StateBatch` for each `batch_size` rows; memory does not grow with the file. NPZ files are never unpickled.
+
+    Raises InputError, when opening or while iterating, naming file and column: a file that is missing, damaged or of
+    another kind; a column that is missing, spelt twice, of the wrong shape or dtype, or named like an output column.
+    Raises MissingExtra for Parquet without pyarrow.
+    """
+    path = Path(path)
+    extension = _extension(path)
+    if batch_size < 1:
+        raise InputError(f"batch size = {batch_size} (expected at least 1)")
+    if not path.is_file():
+        raise InputError(f"{path}: {'not a file' if path.exists() else 'no such file'}")
+    if extension == ".npz":
+        return NpzStates(path, batch_size, np.dtype(dtype))
+    with needs_extra("data", "reading Parquet"):
+        from jaxcap.parquet import ParquetStates
+    return ParquetStates(path, batch_size, np.dtype(dtype))
+
+
+def check_output(path: str | Path, *, force: bool = False, inputs: Iterable[str | Path] = ()) -> None:
+    """Raises InputError if `path` cannot be written: unknown extension, no such directory, an input, or there already.
+
+    force: allow an existing file, unless it is one of `inputs`.
+    """
+    path = Path(path)
+    _extension(path)
+    if not path.parent.is_dir():
+        raise InputError(f"{path}: no such directory: {path.parent}")
+    if not path.exists():
+        return
+    if not path.is_file():
+        raise InputError(f"{path}: exists and is not a file")
+    if any(Path(source).exists() and path.samefile(source) for source in inputs):
+        raise InputError(f"{path}: is also an input")
+    if not force:
+        raise InputError(f"{path}: exists already (--force overwrites it)")
+
+
+class ScoreWriter:
+    """Appends scored batches to a file that is being written; see `write_scores`."""
+
+    def __init__(self, writer: "ParquetWriter | NpzWriter", dtype: np.dtype):
+        self._writer, self._dtype = writer, dtype
+
+    def write(self, columns: Mapping[str, Any], out: Capturability) -> None:
+        """Appends n rows. columns: `StateBatch.columns`. out: their scores, arrays (n,)."""
+        self._writer.write({**columns, **output_columns(out, self._dtype)})
+
+
+@contextmanager
+def write_scores(
+    path: str | Path, types: Mapping[str, Any], metadata: Mapping[str, Any], dtype=np.float32, *, force: bool = False
+) -> Iterator[ScoreWriter]:
+    """Writes a Parquet or NPZ file of scores, in a `with` block. The file appears when the block ends without an error.
+
+    types: the columns carried through, as `read_states` gives them. metadata: see `columns.describe`; stored as JSON
+    under the key `jaxcap` of the Parquet schema, or as the NPZ array `metadata`. dtype: of the figures. force: replace
+    a file that is there. Memory does not grow with the number of rows.
+
+    Raises InputError if the file cannot be written, also for a full disk, or cannot hold a column. Then, and for any
+    other exception, `path` is left as it was. A process that is killed may leave a file `.jaxcap-*.tmp` beside it.
+    """
+    path = Path(path)
+    extension = _extension(path)
+    types = {**types, **output_types(np.dtype(dtype))}
+    with whole_file(path, force=force) as handle:
+        if extension == ".npz":
+            writer = NpzWriter(handle, Path(os.path.realpath(path)).parent, types, metadata)
+        else:
+            with needs_extra("data", "writing Parquet"):
+                from jaxcap.parquet import ParquetWriter
+            writer = ParquetWriter(handle, types, metadata)
+        try:
+            yield ScoreWriter(writer, np.dtype(dtype))
+            writer.finish()
+        finally:
+            writer.discard()
+
+
+@contextmanager
+def whole_file(path: Path, *, force: bool) -> Iterator[BinaryIO]:
+    """A new file under a temporary name, which takes the name `path` when the block ends without an error.
+
+    Raises InputError for an error of the file system, a full disk for one. The temporary file is removed.
+    """
+    target = Path(os.path.realpath(path))  # a link stays a link
+    temporary = target.parent / f".jaxcap-{secrets.token_hex(8)}.tmp"
+    try:
+        with open(temporary, "xb") as handle:
+            yield handle
+            handle.flush()
+            os.fsync(handle.fileno())
+        if target.exists() and not force:
+            raise InputError(f"{path}: exists already; it was written in the meantime")
+        os.replace(temporary, target)
+        _sync(target.parent)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written: {error.strerror or error}") from error
+    finally:
+        with suppress(OSError):
+            temporary.unlink()
+
+
+def _sync(directory: Path) -> None:
+    """Makes the new name last through a power cut, where the system lets a directory be opened."""
+    with suppress(OSError):
+        descriptor = os.open(directory, os.O_RDONLY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
+
+
+def _extension(path: Path) -> str:
+    extension = path.suffix.lower()
+    if extension not in EXTENSIONS:
+        raise InputError(f"{path}: unknown extension {path.suffix!r} (expected {' or '.join(EXTENSIONS)})")
+    return extension

@@ -1,0 +1,86 @@
+"""C3.3: the stop lies beyond the static region, and gravity pulls back into it, as for a robot that hangs.
+
+The paper leaves this case open. From rest the CoM swings back under the force that least accelerates it. Every pass over a
+static region of positive length costs energy, so each stop lies nearer than the one before on that side: whether the robot
+is captured is settled by the first way back, which must end in a stop at all.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxcap.boundary import End
+from jaxcap.numerics import root, tolerances
+from jaxcap.polygon import Polygon
+
+MAX_SWINGS = 64
+"""Most swings that are followed to their end for distance and time."""
+
+
+def farthest_rest(rows: Polygon, s_min, s_max, hanging: Bool[Array, "*n"]) -> Float[Array, "*n"]:
+    """The farthest alpha >= s_max from which, at rest, the robot is captured [m]; s_max in lanes that are not `hanging`.
+
+    The way back to s_max gains at least the energy under the upper boundary; the way on from there can take away as much as
+    maximum deceleration does until it diverges or leaves the polygon. A static region without length takes nothing.
+    """
+    return jax.lax.cond(jnp.any(hanging), _farthest_rest, lambda rows, s_min, s_max, hanging: s_max, rows, s_min, s_max, hanging)
+
+
+def _farthest_rest(rows, s_min, s_max, hanging):
+    hanging &= s_max - s_min > tolerances(s_max.dtype).same_alpha * rows.size
+    base = jnp.where(hanging, s_max, 0)
+    limit = jnp.where(hanging, jnp.inf, 0)
+    back = rows.seen_from(base, -1).boundary(limit)
+    outwards = rows.flipped().seen_from(base, 1).boundary(limit, rising=True)
+    absorbed = jnp.maximum(-back.gain(back.end), 0)
+    everything = (back.ending == End.NEVER) | (back.ending == End.FLOORLESS)
+    beyond = jnp.where(everything, outwards.end, jnp.minimum(outwards.negated().stop(absorbed), outwards.end))
+    return jnp.where(hanging, s_max + beyond, s_max)
+
+
+class Swing(NamedTuple):
+    """Where the swings stand: at rest at `alpha`, about to go back."""
+
+    count: Int[Array, ""]
+    alpha: Float[Array, "*n"]
+    """Where the CoM last came to rest [m]."""
+    heading: Float[Array, ""]
+    """Direction of the next swing, +1 or -1, the same in all lanes."""
+    swinging: Bool[Array, "*n"]
+    distance: Float[Array, "*n"]
+    """Path of all swings so far [m]."""
+    time: Float[Array, "*n"]
+    """Their duration [s]."""
+    residual_speed: Float[Array, "*n"]
+    """Speed that is left where a swing did not stop [m/s]."""
+
+
+def swing(rows: Polygon, s_min, s_max, alpha, swinging: Bool[Array, "*n"]) -> Swing:
+    """Swing to and fro from rest at `alpha` until at rest in [s_min, s_max], out of control, or the bound on swings.
+
+    Not differentiated.
+    """
+    rows, s_min, s_max, alpha = jax.lax.stop_gradient((rows, s_min, s_max, alpha))
+
+    def once(state: Swing) -> Swing:
+        lower = rows.seen_from(state.alpha, state.heading).boundary(jnp.where(state.swinging, jnp.inf, 0))
+        at_end = lower.gain(lower.end)
+        lost = state.swinging & (at_end > 0) & (lower.ending != End.NEVER)
+        travelled = jnp.where(state.swinging & ~lost, lower.stop(jnp.zeros_like(alpha)), 0)
+        time = lower.duration(jnp.zeros_like(alpha), jnp.zeros_like(alpha), travelled, True)
+        rest = state.alpha + state.heading * travelled
+        return Swing(
+            count=state.count + 1,
+            alpha=rest,
+            heading=-state.heading,
+            swinging=state.swinging & ~lost & ~((s_min <= rest) & (rest <= s_max)),
+            distance=state.distance + travelled,
+            time=state.time + jnp.where(travelled > 0, time, 0),
+            residual_speed=jnp.where(lost, root(2 * at_end), state.residual_speed),
+        )
+
+    zero = jnp.zeros_like(alpha)
+    start = Swing(jnp.zeros((), jnp.int32), alpha, -jnp.ones((), alpha.dtype), swinging, zero, zero, zero)
+    return jax.lax.while_loop(lambda state: jnp.any(state.swinging) & (state.count < MAX_SWINGS), once, start)
