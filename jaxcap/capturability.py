@@ -12,7 +12,7 @@ from jaxtyping import Array, Bool, Float
 from jaxcap.boundary import Boundary, End
 from jaxcap.cone import CentroidalCone
 from jaxcap.numerics import direction, root, tolerances
-from jaxcap.polygon import Polygon, polygon
+from jaxcap.polygon import Polygon, Survey, polygon
 from jaxcap.reach import reach_time
 from jaxcap.result import Capturability, Case, Status
 from jaxcap.swings import farthest_rest, swing
@@ -25,13 +25,7 @@ class Line(NamedTuple):
     """The line of travel and the walk along it: everything that does not depend on the speed."""
 
     rows: Polygon
-    s_min: Float[Array, "*n"]
-    s_max: Float[Array, "*n"]
-    """Ends of the static region [m]."""
-    standing: Bool[Array, "*n"]
-    """The static region is not empty."""
-    feasible: Bool[Array, "*n"]
-    """Some acceleration keeps the contacts at the start."""
+    survey: Survey
     ahead: Bool[Array, "*n"]
     """The static region lies ahead, and gravity pulls away from it."""
     hanging: Bool[Array, "*n"]
@@ -88,31 +82,31 @@ def capturability_of_lanes(
 
 
 def _line(rows: Polygon) -> Line:
-    s_min, s_max, standing = rows.static_region()
-    _, highest, feasible = rows.start()
-    lower = rows.boundary(jnp.where(feasible, jnp.inf, 0))
-    ahead = standing & feasible & (s_min > 0) & (highest < 0)
-    upper = rows.flipped().boundary(jnp.where(ahead, s_min, 0))
-    same_alpha = tolerances(s_min.dtype).same_alpha * rows.size
-    hanging = standing & feasible & (lower.ending != End.DIVERGES) & (s_max < lower.end - same_alpha)
-    return Line(rows, s_min, s_max, standing, feasible, ahead, hanging, lower, upper)
+    survey = rows.survey()
+    standing = survey.standing & survey.feasible
+    lower = rows.boundary(jnp.where(survey.feasible, jnp.inf, 0))
+    ahead = standing & (survey.s_min > 0) & (survey.highest < 0)
+    upper = rows.flipped().boundary(jnp.where(ahead, survey.s_min, 0))
+    same_alpha = tolerances(survey.s_max.dtype).same_alpha * rows.size
+    hanging = standing & (lower.ending != End.DIVERGES) & (survey.s_max < lower.end - same_alpha)
+    return Line(rows, survey, ahead, hanging, lower, upper)
 
 
 def _speeds(line: Line) -> Speeds:
     """By the energy integrals: to stop within alpha is to have no more energy than deceleration takes until there."""
-    rows, lower, s_min, s_max = line.rows, line.lower, line.s_min, line.s_max
+    rows, lower, s_min, s_max = line.rows, line.lower, line.survey.s_min, line.survey.s_max
 
     def stops_within(alpha):
         endless = (alpha == jnp.inf) | (lower.ending == End.FLOORLESS)
         return jnp.where(alpha < 0, 0, jnp.where(endless, jnp.inf, root(-2 * lower.gain(jnp.maximum(alpha, 0)))))
 
-    stops = jnp.where(line.feasible, stops_within(lower.end), 0)
+    stops = jnp.where(line.survey.feasible, stops_within(lower.end), 0)
     farthest = farthest_rest(rows, s_min, s_max, line.hanging)
     inside = jnp.where(line.hanging, stops_within(s_max), stops)
     largest = jnp.where(line.hanging, jnp.maximum(inside, stops_within(farthest)), stops)
     before = jnp.where(line.ahead, jnp.minimum(stops_within(s_min), inside), 0)
     smallest = jnp.where(line.ahead, jnp.minimum(root(2 * line.upper.gain(s_min)), before), 0)
-    some = line.standing & line.feasible
+    some = line.survey.standing & line.survey.feasible
     return Speeds(jnp.where(some, smallest, 0), before, inside, jnp.where(some, largest, 0), stops)
 
 
@@ -120,8 +114,8 @@ def _case(line: Line, speeds: Speeds, speed):
     """The leaf of the decision tree (Fig. 3)."""
     return jnp.select(
         [
-            ~line.standing,
-            ~line.feasible,
+            ~line.survey.standing,
+            ~line.survey.feasible,
             speed > speeds.stops,
             line.ahead & (speed < speeds.smallest),
             line.ahead & (speed < speeds.stops_before),
@@ -145,16 +139,16 @@ def _answer(line: Line, speed, finite) -> Capturability:
     moving, lower = speed > 0, line.lower
     # Where no speed is capturable the margin is minus the whole speed: `largest` is zero.
     margin = jnp.minimum(speeds.largest - speed, jnp.where(line.ahead, speed - speeds.smallest, jnp.inf))
-    capturable = jnp.where(moving, margin >= 0, line.standing)
+    capturable = jnp.where(moving, margin >= 0, line.survey.standing)
 
     energy = speed * speed / 2
     at_once = lower.ending == End.FLOORLESS
-    stop = jnp.where(at_once, 0, lower.stop(energy))
-    time = jnp.where(at_once, 0, lower.duration(energy, jnp.zeros_like(stop), stop, True))
+    ride = lower.ride(jnp.where(at_once, 0, energy))
+    stop = ride.alpha
     reaching = case == Case.C3_2_1
-    reached = reach_time(lower, line.upper, line.s_min, energy, reaching)
-    swings = swing(line.rows, line.s_min, line.s_max, stop, (case == Case.C3_3) & moving)
-    residual = jnp.where(line.feasible, root((speed - speeds.stops) * (speed + speeds.stops)), speed)
+    reached = reach_time(lower, line.upper, line.survey.s_min, energy, reaching)
+    swings = swing(line.rows, line.survey.s_min, line.survey.s_max, stop, (case == Case.C3_3) & moving)
+    residual = jnp.where(line.survey.feasible, root((speed - speeds.stops) * (speed + speeds.stops)), speed)
     residual = jnp.where(jnp.isfinite(speeds.stops), residual, 0) + swings.residual_speed
     deceleration = jnp.where(at_once, jnp.inf, -lower.at(stop))
 
@@ -175,7 +169,7 @@ def _answer(line: Line, speed, finite) -> Capturability:
         min_speed=figure(moving, speeds.smallest),
         max_speed=figure(moving, speeds.largest),
         paper_margin=figure(moving, jnp.where(capturable, deceleration, -residual)),
-        distance=figure(stopped, jnp.where(reaching, line.s_min, stop) + swings.distance),
-        time=figure(stopped, jnp.where(reaching, reached, time) + swings.time),
+        distance=figure(stopped, jnp.where(reaching, line.survey.s_min, stop) + swings.distance),
+        time=figure(stopped, jnp.where(reaching, reached, ride.time) + swings.time),
         residual_speed=figure(True, jnp.where(capturable, 0, residual)),
     )

@@ -13,13 +13,12 @@ import tyro
 from tqdm import tqdm
 
 import jaxcap
+from jaxcap.capturability import GRAVITY
 from jaxcap.columns import describe
 from jaxcap.contact_files import read_contacts
 from jaxcap.errors import InputError
 from jaxcap.records import check_output, read_states, write_scores
 from jaxcap.summary import Summary
-
-GRAVITY = (0.0, 0.0, -9.81)
 
 SCORE = """Score a file of robot states: can the robot stop without moving a contact?
 
@@ -118,8 +117,9 @@ def score(
             raise InputError(f"{contacts}: {error}") from error
         metadata = describe(contact_set, GRAVITY, sides, np.dtype(dtype))
         with write_scores(output, source.types, metadata, dtype, force=force) as sink:
-            compiled = _compile(cone, min(batch_size, source.rows), dtype)
-            summary, seconds = _score_all(cone, source, sink)
+            size = min(batch_size, source.rows)
+            compiled = _compile(cone, size, dtype)
+            summary, seconds = _score_all(cone, source, sink, size)
     print(summary.table())
     rate = f"{summary.states / seconds:.3g} states/s" if summary.states else "no states"
     print(f"\n{rate} ({seconds:.2f} s, after {compiled:.2f} s of compiling; {dtype}, {jax.default_backend()})")
@@ -143,13 +143,13 @@ def run(arguments: Sequence[str]) -> None:
     )
 
 
-def _score_all(cone, source, sink) -> tuple[Summary, float]:
+def _score_all(cone, source, sink, size: int) -> tuple[Summary, float]:
     """Scores and writes every batch. Returns what was counted, and the time spent scoring [s]."""
     summary, seconds = Summary(), 0.0
     with tqdm(total=source.rows, unit=" states", unit_scale=True, disable=not sys.stderr.isatty()) as bar:
         for batch in source:
             start = time.perf_counter()
-            out = _score(cone, batch.coms, batch.com_velocities)
+            out = _score(cone, batch.coms, batch.com_velocities, size)
             seconds += time.perf_counter() - start
             sink.write(batch.columns, out)
             summary.add(out)
@@ -157,16 +157,19 @@ def _score_all(cone, source, sink) -> tuple[Summary, float]:
     return summary, seconds
 
 
-def _score(cone, coms, com_velocities):
-    """Scores on the host: waits for the device, so that times are times."""
-    return jax.device_get(jaxcap.score(cone, coms, com_velocities, gravity=GRAVITY))
+def _score(cone, coms, com_velocities, size: int):
+    """Scores, and waits for the answers. Zeros fill up to `size` rows, so that the last batch needs no compiling."""
+    n = len(coms)
+    padding = ((0, size - n), (0, 0))
+    out = jaxcap.score(cone, np.pad(coms, padding), np.pad(com_velocities, padding), gravity=GRAVITY)
+    return jax.tree.map(lambda field: np.asarray(field)[:n], out)
 
 
 def _compile(cone, n: int, dtype: str) -> float:
     """Compiles for batches of n states, by scoring n states at rest. Returns the time it took [s]."""
     start = time.perf_counter()
     if n:
-        _score(cone, np.zeros((n, 3), dtype), np.zeros((n, 3), dtype))
+        _score(cone, np.zeros((0, 3), dtype), np.zeros((0, 3), dtype), n)
     return time.perf_counter() - start
 
 

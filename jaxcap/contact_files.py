@@ -138,12 +138,13 @@ def _load_yaml(path: Path, text: str) -> Any:
     class Loader(yaml.SafeLoader):
         """Safe YAML, where 1e-3 is a number (as in YAML 1.2) and a key given twice is an error."""
 
-        def construct_mapping(self, node, deep=False):
-            keys = [self.construct_object(key, deep=True) for key, _ in node.value]
+        def compose_mapping_node(self, anchor):
+            node = super().compose_mapping_node(anchor)
+            keys = [key.value for key, _ in node.value]
             repeated = next((key for key in keys if keys.count(key) > 1), None)
             if repeated is not None:
-                raise yaml.constructor.ConstructorError(None, None, f"{repeated!r} is given twice", node.start_mark)
-            return super().construct_mapping(node, deep)
+                raise yaml.composer.ComposerError(None, None, f"{repeated!r} is given twice", node.start_mark)
+            return node
 
     number = re.compile(r"^[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$")
     Loader.add_implicit_resolver("tag:yaml.org,2002:float", number, list("-+.0123456789"))

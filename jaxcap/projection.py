@@ -42,7 +42,7 @@ def cone_faces(rays: Float[np.ndarray, "n d"]) -> Float[np.ndarray, "m d"]:
     pairs = np.concatenate([outside, -outside])
     if len(span) == 0:
         return pairs
-    lineality, pointed = _split(rays[_in_lineality(rays)], span)
+    _, pointed = _split(rays[_in_lineality(rays)], span)
     if len(pointed) == 0:
         return pairs
     rest = rays @ pointed.T

@@ -25,8 +25,8 @@ def _reach_time(lower, upper, target, energy):
     floorless = lower.ending == End.FLOORLESS
     switch = jnp.where(floorless, target, _switch(lower, upper, target, energy))
     at_switch = energy - upper.gain(switch)
-    first = upper.negated().duration(energy, jnp.zeros_like(target), switch, False)
-    return first + lower.duration(at_switch, switch, target, True)
+    none = jnp.zeros_like(target)
+    return upper.negated().duration(none, switch, energy, at_switch) + lower.duration(switch, target, at_switch, none)
 
 
 def _switch(lower: Boundary, upper: Boundary, target, energy):

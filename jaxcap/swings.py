@@ -25,7 +25,8 @@ def farthest_rest(rows: Polygon, s_min, s_max, hanging: Bool[Array, "*n"]) -> Fl
     The way back to s_max gains at least the energy under the upper boundary; the way on from there can take away as much as
     maximum deceleration does until it diverges or leaves the polygon. A static region without length takes nothing.
     """
-    return jax.lax.cond(jnp.any(hanging), _farthest_rest, lambda rows, s_min, s_max, hanging: s_max, rows, s_min, s_max, hanging)
+    skip = lambda rows, s_min, s_max, hanging: s_max
+    return jax.lax.cond(jnp.any(hanging), _farthest_rest, skip, rows, s_min, s_max, hanging)
 
 
 def _farthest_rest(rows, s_min, s_max, hanging):
@@ -36,7 +37,7 @@ def _farthest_rest(rows, s_min, s_max, hanging):
     outwards = rows.flipped().seen_from(base, 1).boundary(limit, rising=True)
     absorbed = jnp.maximum(-back.gain(back.end), 0)
     everything = (back.ending == End.NEVER) | (back.ending == End.FLOORLESS)
-    beyond = jnp.where(everything, outwards.end, jnp.minimum(outwards.negated().stop(absorbed), outwards.end))
+    beyond = jnp.where(everything, outwards.end, jnp.minimum(outwards.negated().ride(absorbed).alpha, outwards.end))
     return jnp.where(hanging, s_max + beyond, s_max)
 
 
@@ -68,8 +69,8 @@ def swing(rows: Polygon, s_min, s_max, alpha, swinging: Bool[Array, "*n"]) -> Sw
         lower = rows.seen_from(state.alpha, state.heading).boundary(jnp.where(state.swinging, jnp.inf, 0))
         at_end = lower.gain(lower.end)
         lost = state.swinging & (at_end > 0) & (lower.ending != End.NEVER)
-        travelled = jnp.where(state.swinging & ~lost, lower.stop(jnp.zeros_like(alpha)), 0)
-        time = lower.duration(jnp.zeros_like(alpha), jnp.zeros_like(alpha), travelled, True)
+        ride = lower.ride(jnp.zeros_like(alpha))
+        travelled = jnp.where(state.swinging & ~lost, ride.alpha, 0)
         rest = state.alpha + state.heading * travelled
         return Swing(
             count=state.count + 1,
@@ -77,7 +78,7 @@ def swing(rows: Polygon, s_min, s_max, alpha, swinging: Bool[Array, "*n"]) -> Sw
             heading=-state.heading,
             swinging=state.swinging & ~lost & ~((s_min <= rest) & (rest <= s_max)),
             distance=state.distance + travelled,
-            time=state.time + jnp.where(travelled > 0, time, 0),
+            time=state.time + jnp.where(travelled > 0, ride.time, 0),
             residual_speed=jnp.where(lost, root(2 * at_end), state.residual_speed),
         )
 

@@ -1,0 +1,85 @@
+"""Small state and contact files for the tests of records and of the command line, and a predictor that needs no JAX."""
+
+import json
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from jaxcap.result import Capturability, Case, Status
+
+SOLE = {"type": "rectangle", "half_length": 0.1, "half_width": 0.05, "friction": 0.5}
+FEET = {
+    "contacts": [
+        {**SOLE, "name": "left", "position": [0, 0.1, 0]},
+        {**SOLE, "name": "right", "position": [0, -0.1, 0]},
+    ]
+}
+
+
+def states(n: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """CoM positions (n, 3) [m] over the feet, and velocities (n, 3) [m/s]."""
+    rng = np.random.default_rng(seed)
+    return rng.uniform([-0.1, -0.1, 0.7], [0.1, 0.1, 0.9], (n, 3)), rng.uniform(-1, 1, (n, 3))
+
+
+def vectors(values: np.ndarray, kind=None) -> pa.Array:
+    """(n, 3) as an Arrow column of lists."""
+    return pa.array(list(values.tolist()), kind or pa.list_(pa.float64(), 3))
+
+
+def write_states(path, n: int = 10, **columns):
+    """Writes n states, and other columns, in the format of the extension. Returns the path."""
+    coms, velocities = states(n)
+    if path.suffix == ".npz":
+        np.savez(path, **{"com": coms, "com_velocity": velocities, **columns})
+    else:
+        table = {"com": vectors(coms), "com_velocity": vectors(velocities), **columns}
+        pq.write_table(pa.table({name: column for name, column in table.items() if column is not None}), path)
+    return path
+
+
+def write_contacts(path, document=FEET):
+    """Writes a contact file as JSON, which is YAML as well. Returns the path."""
+    path.write_text(json.dumps(document))
+    return path
+
+
+def read_columns(path) -> dict[str, np.ndarray]:
+    """Every column of an output file as a NumPy array."""
+    if path.suffix == ".npz":
+        with np.load(path, allow_pickle=False) as file:
+            return {name: file[name] for name in file.files if name != "metadata"}
+    table = pq.read_table(path)
+    return {name: np.array(table[name].to_pylist()) for name in table.column_names}
+
+
+def read_metadata(path) -> dict:
+    """What an output file says about itself."""
+    if path.suffix == ".npz":
+        with np.load(path, allow_pickle=False) as file:
+            return json.loads(file["metadata"].item())
+    return json.loads(pq.read_schema(path).metadata[b"jaxcap"])
+
+
+def fake_score(cone, coms, com_velocities, gravity=(0, 0, -9.81)) -> Capturability:
+    """A predictor by a simple rule: capturable below 1 m/s, and in the other ways like the real one."""
+    coms, com_velocities = np.asarray(coms), np.asarray(com_velocities)
+    bad = ~np.isfinite(np.hstack([coms, com_velocities])).all(axis=1)
+    speed = np.where(bad, np.nan, np.linalg.norm(com_velocities, axis=1)).astype(coms.dtype)
+    still = speed == 0
+    margin = np.where(still, np.nan, 1 - speed).astype(coms.dtype)
+    capturable = ~bad & (still | (margin >= 0))
+    case = np.where(bad, Case.UNDECIDED, np.where(capturable, Case.C3_1, Case.C1)).astype(np.int8)
+    status = np.where(bad, Status.NONFINITE, np.where(still, Status.NO_DIRECTION, Status.OK)).astype(np.int8)
+    return Capturability(capturable, case, status, margin, 0 * margin, margin + speed, margin, speed, speed, 0 * speed)
+
+
+def command(states, contacts, output, *options) -> list[str]:
+    """Arguments of `jaxcap` that score a file."""
+    return ["score", str(states), "--contacts", str(contacts), "-o", str(output), *options]
+
+
+def leftovers(directory) -> list[str]:
+    """Names of temporary files in a directory."""
+    return [path.name for path in directory.iterdir() if path.name.startswith(".") or path.name.endswith(".tmp")]

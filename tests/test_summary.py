@@ -1,0 +1,59 @@
+"""Counts and quantiles of the closing table."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from state_files import fake_score, states
+
+from jaxcap.result import Case, Status
+from jaxcap.summary import CASES, STATUSES, Quantiles, Summary
+
+FLOATS = st.floats(width=32, allow_nan=False)
+
+
+@given(st.lists(FLOATS, min_size=1, max_size=50), st.floats(0, 1))
+def test_quantiles_are_those_of_the_sorted_numbers(values, share):
+    quantiles = Quantiles()
+    quantiles.add(np.array(values, dtype=np.float32))
+    exact = sorted(values)[max(1, int(np.ceil(share * len(values)))) - 1]
+    assert quantiles(share) == pytest.approx(exact, rel=2.5e-4, abs=1e-37)
+
+
+@given(st.lists(FLOATS, max_size=20), st.lists(FLOATS, max_size=20))
+def test_quantiles_do_not_depend_on_batches(first, second):
+    one, two = Quantiles(), Quantiles()
+    one.add(np.array(first + second))
+    two.add(np.array(second))
+    two.add(np.array(first))
+    assert one.count() == two.count() == len(first) + len(second)
+    assert one(0.5) == two(0.5) or not one.count()
+
+
+def test_zero_and_infinity_are_exact_and_nan_is_left_out():
+    quantiles = Quantiles()
+    quantiles.add(np.array([-np.inf, -0.0, 0.0, 1e300, np.nan]))
+    assert [quantiles(share) for share in (0.25, 0.5, 0.75, 1)] == [-np.inf, 0, 0, np.inf]
+    assert quantiles.count() == 4
+
+
+def test_no_numbers_have_no_quantile():
+    assert np.isnan(Quantiles()(0.5))
+
+
+def test_every_case_and_status_is_counted():
+    assert set(CASES) == set(Case) and set(STATUSES) == set(Status)
+    coms, velocities = states(100)
+    velocities[0], velocities[1, 2] = 0, np.nan
+    summary = Summary()
+    out = fake_score(None, coms, velocities)
+    summary.add(out)
+    summary.add(out)
+    assert summary.states == sum(summary.cases.values()) == sum(summary.statuses.values()) == 200
+    assert summary.statuses[Status.NONFINITE] == summary.statuses[Status.NO_DIRECTION] == 2
+    assert summary.capturable == 2 * out.capturable.sum()
+    assert summary.margin.count() == 196
+
+
+def test_a_table_of_nothing():
+    assert "states" in Summary().table()
