@@ -147,9 +147,12 @@ def _answer(line: Line, speed, finite) -> Capturability:
     stop = ride.alpha
     reaching = case == Case.C3_2_1
     reached = reach_time(lower, line.upper, line.survey.s_min, energy, reaching)
-    swings = swing(line.rows, line.survey.s_min, line.survey.s_max, stop, (case == Case.C3_3) & moving)
-    residual = jnp.where(line.survey.feasible, root((speed - speeds.stops) * (speed + speeds.stops)), speed)
-    residual = jnp.where(jnp.isfinite(speeds.stops), residual, 0) + swings.residual_speed
+    swings = swing(line.rows, line.survey.s_min, line.survey.s_max, ride, (case == Case.C3_3) & moving)
+    gain, stops = lower.gain(lower.end), jnp.where(jnp.isfinite(speeds.stops), speeds.stops, speed)
+    # speed^2 + 2 gain, in the form without cancellation where the walk nearly stops
+    excess = jnp.where(gain > 0, speed * speed + 2 * gain, (speed - stops) * (speed + stops))
+    residual = jnp.where(line.survey.feasible, root(excess), speed)
+    residual = jnp.where(case == Case.C3_3, swings.residual_speed, residual)
     deceleration = jnp.where(at_once, jnp.inf, -lower.at(stop))
 
     status = jnp.where(swings.swinging, Status.MAX_SWINGS, Status.OK)
@@ -161,6 +164,9 @@ def _answer(line: Line, speed, finite) -> Capturability:
     capturable &= decided
     figure = lambda known, value: jnp.where(decided & known, value, jnp.nan)
     stopped = capturable & (status != Status.MAX_SWINGS)
+    swung = case == Case.C3_3
+    path = jnp.where(swung, swings.distance, jnp.where(reaching, line.survey.s_min, stop))
+    duration = jnp.where(swung, swings.time, jnp.where(reaching, reached, ride.time))
     return Capturability(
         capturable=capturable,
         case=jnp.where(decided, case, Case.UNDECIDED).astype(jnp.int8),
@@ -168,8 +174,8 @@ def _answer(line: Line, speed, finite) -> Capturability:
         margin=figure(moving, margin),
         min_speed=figure(moving, speeds.smallest),
         max_speed=figure(moving, speeds.largest),
-        paper_margin=figure(moving, jnp.where(capturable, deceleration, -residual)),
-        distance=figure(stopped, jnp.where(reaching, line.survey.s_min, stop) + swings.distance),
-        time=figure(stopped, jnp.where(reaching, reached, ride.time) + swings.time),
+        paper_margin=figure(moving, jnp.where(capturable, deceleration, 0 - residual)),
+        distance=figure(stopped, path),
+        time=figure(stopped, duration),
         residual_speed=figure(True, jnp.where(capturable, 0, residual)),
     )

@@ -55,4 +55,4 @@ def centroidal_cone(contacts: ContactSet, sides: int = 4) -> CentroidalCone:
     except ProjectionError as error:
         raise ProjectionError(f"faces of {len(active)} contacts with {sides} sides: {error}") from error
     order = np.lexsort(np.round(faces, 9).T)
-    return CentroidalCone(faces=faces[order] / scale, origin=origin, length=np.float64(length))
+    return CentroidalCone(faces=faces[order] / scale, origin=origin, length=np.asarray(length))

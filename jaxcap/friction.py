@@ -26,7 +26,7 @@ def pyramid_edges(
 
 def wrench_rays(
     contacts: ContactSet, sides: int, origin: Float[FloatArray, "*batch 3"]
-) -> Float[FloatArray, "*batch k*{sides} 6"]:
+) -> Float[FloatArray, "*batch rays 6"]:
     """Rays (f, (p - origin) x f) that span the centroidal cone: the generators of (6), with unit forces.
 
     origin: the point that torques are taken about [m]. Contact by contact, edge by edge; rays of masked contacts are zero.

@@ -92,7 +92,7 @@ class Polygon(NamedTuple):
 
         Lanes whose limit is not positive are not walked.
         """
-        return _boundary(self, jax.lax.stop_gradient(limit), rising)
+        return _boundary(self, jax.lax.stop_gradient(limit).astype(self.bound.dtype), rising)
 
 
 def polygon(

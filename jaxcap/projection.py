@@ -134,13 +134,23 @@ def _hull(points, options):
     return hull.equations, hull.simplices
 
 
+def _is_closed(simplices):
+    """Whether every side of every simplex (m, q) is the side of another one."""
+    size = simplices.shape[1]
+    sides = np.concatenate([np.delete(simplices, i, axis=1) for i in range(size)])
+    _, counts = np.unique(np.sort(sides, axis=1), axis=0, return_counts=True)
+    return (counts % 2 == 0).all()
+
+
 def _refined(hints, simplices, rays):
     """The faces that Qhull hints at, computed again from the rays that they touch, each once.
 
-    Qhull's simplices form a closed surface. If every simplex lies in a face that has all rays on one side, the surface is
-    the whole boundary, so no face is missing. Simplices without area, which Qhull makes where more rays than needed share
+    Qhull's simplices must form a closed surface. If every simplex lies in a face that has all rays on one side, the
+    surface is the whole boundary, so no face is missing. Simplices without area, which Qhull makes where more rays than needed share
     a face, lie in the faces of their neighbours.
     """
+    if not _is_closed(simplices):
+        raise ProjectionError("the cone is not closed: Qhull's simplices leave a gap")
     faces = []
     closed = np.zeros(len(simplices), dtype=bool)
     for i, (hint, simplex) in enumerate(zip(hints, simplices, strict=True)):

@@ -7,7 +7,8 @@ from jaxtyping import Array, Bool, Float
 from jaxcap.boundary import Boundary, End
 from jaxcap.numerics import ratio
 
-NEWTON_STEPS = 10
+MAX_STEPS = 64
+"""Halving alone needs no more in double precision."""
 
 
 def reach_time(lower: Boundary, upper: Boundary, s_min, energy, reaching: Bool[Array, "*n"]) -> Float[Array, "*n"]:
@@ -48,11 +49,16 @@ def _width(lower, upper, alpha):
 
 
 def _bisected_newton(lower, upper, target, energy):
-    def step(_, bracket):
-        low, high, alpha = bracket
+    """The zero of the excess in [0, target], to rounding."""
+    close = 4 * jnp.finfo(target.dtype).eps
+
+    def step(state):
+        count, low, high, alpha, _ = state
         excess = _excess(lower, upper, target, energy, alpha)
         low, high = jnp.where(excess < 0, alpha, low), jnp.where(excess < 0, high, alpha)
         guess = alpha - ratio(excess, _width(lower, upper, alpha))
-        return low, high, jnp.where((low < guess) & (guess < high), guess, (low + high) / 2)
+        guess = jnp.where((low <= guess) & (guess <= high), guess, (low + high) / 2)
+        return count + 1, low, high, guess, jnp.abs(guess - alpha) > close * target
 
-    return jax.lax.fori_loop(0, NEWTON_STEPS, step, (jnp.zeros_like(target), target, target / 2))[2]
+    start = jnp.int32(0), jnp.zeros_like(target), target, target / 2, target > 0
+    return jax.lax.while_loop(lambda state: jnp.any(state[-1]) & (state[0] < MAX_STEPS), step, start)[3]

@@ -45,7 +45,9 @@ class Capturability(NamedTuple):
     """The answer for one state, or arrays of answers with one leading axis for many.
 
     Speeds are along the direction of the given velocity. Where no speed in that direction is capturable, `min_speed` and
-    `max_speed` are both zero, and the margin is minus the whole speed.
+    `max_speed` are both zero, and the margin is minus the whole speed. Figures of states that are undecided are NaN.
+    Gradients are exact away from kinks and never NaN where the figure is a number; `distance`, `time` and `residual_speed`
+    are not differentiated in C3.3.
     """
 
     capturable: Bool[Array, "..."]

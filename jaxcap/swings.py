@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxcap.boundary import End
+from jaxcap.boundary import End, Ride
 from jaxcap.numerics import root, tolerances
 from jaxcap.polygon import Polygon
 
@@ -51,26 +51,27 @@ class Swing(NamedTuple):
     """Direction of the next swing, +1 or -1, the same in all lanes."""
     swinging: Bool[Array, "*n"]
     distance: Float[Array, "*n"]
-    """Path of all swings so far [m]."""
+    """Path since the start [m]."""
     time: Float[Array, "*n"]
-    """Their duration [s]."""
+    """Since the start [s]."""
     residual_speed: Float[Array, "*n"]
     """Speed that is left where a swing did not stop [m/s]."""
 
 
-def swing(rows: Polygon, s_min, s_max, alpha, swinging: Bool[Array, "*n"]) -> Swing:
-    """Swing to and fro from rest at `alpha` until at rest in [s_min, s_max], out of control, or the bound on swings.
+def swing(rows: Polygon, s_min, s_max, ride: Ride, swinging: Bool[Array, "*n"]) -> Swing:
+    """Swing to and fro until at rest in [s_min, s_max], out of control, or the bound on swings.
 
-    Not differentiated.
+    ride: the way to the first stop, to which the swings' distance and time are added. Not differentiated.
     """
-    rows, s_min, s_max, alpha = jax.lax.stop_gradient((rows, s_min, s_max, alpha))
+    rows, s_min, s_max, ride = jax.lax.stop_gradient((rows, s_min, s_max, ride))
+    alpha = ride.alpha
 
     def once(state: Swing) -> Swing:
         lower = rows.seen_from(state.alpha, state.heading).boundary(jnp.where(state.swinging, jnp.inf, 0))
         at_end = lower.gain(lower.end)
         lost = state.swinging & (at_end > 0) & (lower.ending != End.NEVER)
-        ride = lower.ride(jnp.zeros_like(alpha))
-        travelled = jnp.where(state.swinging & ~lost, ride.alpha, 0)
+        back = lower.ride(jnp.zeros_like(alpha))
+        travelled = jnp.where(state.swinging & ~lost, back.alpha, 0)
         rest = state.alpha + state.heading * travelled
         return Swing(
             count=state.count + 1,
@@ -78,10 +79,17 @@ def swing(rows: Polygon, s_min, s_max, alpha, swinging: Bool[Array, "*n"]) -> Sw
             heading=-state.heading,
             swinging=state.swinging & ~lost & ~((s_min <= rest) & (rest <= s_max)),
             distance=state.distance + travelled,
-            time=state.time + jnp.where(travelled > 0, ride.time, 0),
+            time=state.time + jnp.where(travelled > 0, back.time, 0),
             residual_speed=jnp.where(lost, root(2 * at_end), state.residual_speed),
         )
 
-    zero = jnp.zeros_like(alpha)
-    start = Swing(jnp.zeros((), jnp.int32), alpha, -jnp.ones((), alpha.dtype), swinging, zero, zero, zero)
+    start = Swing(
+        count=jnp.zeros((), jnp.int32),
+        alpha=alpha,
+        heading=-jnp.ones((), alpha.dtype),
+        swinging=swinging,
+        distance=alpha,
+        time=ride.time,
+        residual_speed=jnp.zeros_like(alpha),
+    )
     return jax.lax.while_loop(lambda state: jnp.any(state.swinging) & (state.count < MAX_SWINGS), once, start)

@@ -1,0 +1,48 @@
+"""Random states of the samplers as jaxcap takes them: stacked cones and arrays of states."""
+
+from functools import cache
+
+import jax
+import numpy as np
+from samplers import random_contacts, random_state
+
+import jaxcap
+
+ROWS = 640
+"""At least as many faces as any of the random cones has."""
+
+
+def contact_set(points, frames, friction) -> jaxcap.ContactSet:
+    """The sampler's arrays as a ContactSet."""
+    return jaxcap.ContactSet(points=points, frames=frames, friction=friction)
+
+
+@cache
+def random_states(sets: int, states: int, seed: int):
+    """`states` states for each of `sets` contact sets of 2, 3 and 4 rectangles in turn.
+
+    Returns the contacts (list of sampler arrays), cones stacked (one for each state), coms and velocities (sets * states, 3).
+    """
+    rng = np.random.default_rng(seed)
+    contacts, cones, coms, velocities = [], [], [], []
+    for i in range(sets):
+        arrays = random_contacts(rng, 2 + i % 3)
+        cone = jaxcap.centroidal_cone(contact_set(*arrays)).padded(ROWS)
+        for _ in range(states):
+            com, velocity = random_state(rng, arrays[0])
+            contacts.append(arrays)
+            cones.append(cone)
+            coms.append(com)
+            velocities.append(velocity)
+    return contacts, stack(cones), np.array(coms), np.array(velocities)
+
+
+def stack(trees):
+    """A tree of stacked leaves from a list of trees."""
+    return jax.tree.map(lambda *leaves: np.stack(leaves), *trees)
+
+
+@cache
+def each():
+    """`capturability` with a cone for each state, compiled."""
+    return jax.jit(jax.vmap(jaxcap.capturability))
