@@ -3,10 +3,11 @@
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Num
 
 from jaxcap.capturability import GRAVITY, capturability_of_lanes
 from jaxcap.cone import CentroidalCone
+from jaxcap.contacts import FloatArray
 from jaxcap.result import Capturability
 
 LANES = 64
@@ -18,7 +19,7 @@ ROWS = 16
 
 
 def score(
-    cone: CentroidalCone, coms: Float[Array, "n 3"], com_velocities: Float[Array, "n 3"], gravity=GRAVITY
+    cone: CentroidalCone, coms: Num[FloatArray, "n 3"], com_velocities: Num[FloatArray, "n 3"], gravity=GRAVITY
 ) -> Capturability:
     """`capturability` of many states.
 

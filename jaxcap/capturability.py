@@ -7,10 +7,11 @@ speed with an energy integral (see `boundary`). Arrays carry their lanes last.
 from typing import NamedTuple
 
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Num
 
 from jaxcap.boundary import Boundary, End
 from jaxcap.cone import CentroidalCone
+from jaxcap.contacts import FloatArray
 from jaxcap.numerics import direction, root, tolerances
 from jaxcap.polygon import Polygon, Survey, polygon
 from jaxcap.reach import reach_time
@@ -52,7 +53,7 @@ class Speeds(NamedTuple):
 
 
 def capturability(
-    cone: CentroidalCone, com: Float[Array, "3"], com_velocity: Float[Array, "3"], gravity=GRAVITY
+    cone: CentroidalCone, com: Num[FloatArray, "3"], com_velocity: Num[FloatArray, "3"], gravity=GRAVITY
 ) -> Capturability:
     """Can the robot come to rest without moving a contact, its CoM decelerating along its own velocity?
 
@@ -70,7 +71,7 @@ def capturability(
 
 
 def capturability_of_lanes(
-    cone: CentroidalCone, com: Float[Array, "3 *n"], com_velocity: Float[Array, "3 *n"], gravity
+    cone: CentroidalCone, com: Num[Array, "3 *n"], com_velocity: Num[Array, "3 *n"], gravity
 ) -> Capturability:
     """`capturability` of states side by side, lanes last."""
     dtype = jnp.promote_types(jnp.result_type(com, com_velocity), jnp.float32)

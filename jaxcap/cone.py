@@ -20,11 +20,11 @@ class CentroidalCone:
     (faces[:, :3], faces[:, 3:] / length) have unit length.
     """
 
-    faces: Float[FloatArray, "m 6"]
+    faces: Float[FloatArray, "*batch m 6"]
     """[-] for the three columns of force, [1/m] for those of torque."""
-    origin: Float[FloatArray, "3"]
+    origin: Float[FloatArray, "*batch 3"]
     """Centroid of the contact points [m]: a robot far from the world's origin is scored like one near it."""
-    length: Float[FloatArray, ""]
+    length: Float[FloatArray, "*batch"]
     """Distance of the farthest contact point from the origin [m], or 1 for a single point: the scale of rounding errors."""
 
     def padded(self, rows: int) -> "CentroidalCone":

@@ -32,7 +32,7 @@ def root(square: Float[Array, "*n"]) -> Float[Array, "*n"]:
     return jnp.where(positive, jnp.sqrt(jnp.where(positive, square, 1)), 0)
 
 
-def ratio(numerator: Float[Array, "*n"], denominator: Float[Array, "*n"], otherwise=0.0) -> Float[Array, "*n"]:
+def ratio(numerator: Float[Array, "..."], denominator: Float[Array, "..."], otherwise=0.0) -> Float[Array, "..."]:
     """Quotient, `otherwise` where the denominator is zero."""
     safe = denominator != 0
     return jnp.where(safe, numerator / jnp.where(safe, denominator, 1), otherwise)
