@@ -6,6 +6,7 @@ speed with an energy integral (see `boundary`). Arrays carry their lanes last.
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Num
 
@@ -59,7 +60,8 @@ def capturability(
 
     cone: from `centroidal_cone`. com: (3,) [m], com_velocity: (3,) [m/s], gravity: (3,) [m/s^2], all in the contacts' frame,
     z up. The dtype of `com` decides the precision. One state, pure: works under jit, vmap, jacfwd, jacrev and grad; `score`
-    is much faster for many. Never raises for the values of a state: see `Status`. Raises TypeError for a wrong shape.
+    is much faster for many. Compiled at the first call for each number of faces. Never raises for the values of a state: see
+    `Status`. Raises TypeError for a wrong shape.
 
     Source: Section III, Algorithms 1 and 2, with the energy in place of time; C3.3, which the paper leaves open, by swings.
     """
@@ -70,6 +72,7 @@ def capturability(
     return capturability_of_lanes(cone, com, com_velocity, gravity)
 
 
+@jax.jit
 def capturability_of_lanes(
     cone: CentroidalCone, com: Num[Array, "3 *n"], com_velocity: Num[Array, "3 *n"], gravity
 ) -> Capturability:

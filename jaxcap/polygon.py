@@ -229,32 +229,41 @@ def _boundary_jvp(rising, primals, tangents):
     (rows, limit), (moved, _) = primals, tangents
     found = _boundary(rows, limit, rising)
     pieces = found.pieces
-    right = jnp.minimum(pieces.right, jnp.where(found.ending == End.LIMIT, limit, found.end))
-    middle = jnp.where(jnp.isfinite(right), (pieces.left + right) / 2, pieces.left + rows.size)
-
     lower = rows.on_acceleration < 0
-    values = ratio(rows.bound - rows.on_alpha * middle[:, None], rows.on_acceleration)
-    active = jnp.argmax(jnp.where(lower, values, -jnp.inf), axis=1)
+    row_slopes, row_values = -ratio(rows.on_alpha, rows.on_acceleration), ratio(rows.bound, rows.on_acceleration)
+
+    def active_row(line):
+        """Index of the row with this slope and intercept."""
+        difference = jnp.abs(row_slopes - line[0]) * rows.size + jnp.abs(row_values - line[1])
+        return jnp.argmin(jnp.where(lower, difference, jnp.inf), axis=0)
+
+    # one piece after the other: all at once would be a large array
+    active = jax.lax.map(active_row, (pieces.slope, pieces.intercept))
     at_active = lambda values: jnp.take_along_axis(values, active, axis=0)
     real = pieces.right > pieces.left
     change = lambda amount: jnp.where(real, ratio(amount, at_active(rows.on_acceleration)), 0)
     intercepts = change(at_active(moved.bound) - pieces.intercept * at_active(moved.on_acceleration))
     slopes = change(-at_active(moved.on_alpha) - pieces.slope * at_active(moved.on_acceleration))
 
-    # The end: a zero of the last line, or its crossing with the row that ends the polygon.
+    # The end: the last line's zero; or, where that line is nowhere negative, the knot where it begins; or its crossing
+    # with the row that ends the polygon.
     final = jnp.isinf(pieces.right)
-    of_last = lambda values: jnp.sum(jnp.where(final, values, 0), axis=0)
-    intercept, slope = of_last(pieces.intercept), of_last(pieces.slope)
+    before = jnp.roll(final, -1, axis=0).at[-1].set(False)
     end = jnp.where(jnp.isfinite(found.end), found.end, 0)
+    pick = lambda which, values: jnp.sum(jnp.where(which, values, 0), axis=0)
+    intercept, slope = pick(final, pieces.intercept), pick(final, pieces.slope)
+    rise = pick(final, intercepts + slopes * end)
+    steeper = jnp.where(before.any(axis=0), slope - pick(before, pieces.slope), 0)
+    at_knot = ratio(pick(before, intercepts + slopes * end) - rise, steeper)
+    at_zero = jnp.where(pick(final, pieces.left) < end, -ratio(rise, slope), at_knot)
     at = jnp.where(lower, jnp.inf, _crossings(rows, intercept, slope))
     wall = jnp.argmin(jnp.abs(at - end), axis=0)[None]
     at_wall = lambda values: jnp.take_along_axis(values, wall, axis=0)[0]
-    rise = of_last(intercepts) + of_last(slopes) * end
     past = at_wall(moved.bound) - at_wall(moved.on_acceleration) * (intercept + slope * end) - at_wall(moved.on_alpha) * end
     past -= at_wall(rows.on_acceleration) * rise
     rate = at_wall(rows.on_acceleration) * slope + at_wall(rows.on_alpha)
     at_leaving = jnp.where(found.ending == End.POLYGON, ratio(past, rate), 0)
-    ends = jnp.where(found.ending == End.DIVERGES, -ratio(rise, slope), at_leaving)
+    ends = jnp.where(found.ending == End.DIVERGES, at_zero, at_leaving)
 
     zero = jnp.zeros_like(pieces.left)
     integer = lambda x: np.zeros(x.shape, jax.dtypes.float0)

@@ -146,8 +146,8 @@ def _refined(hints, simplices, rays):
     """The faces that Qhull hints at, computed again from the rays that they touch, each once.
 
     Qhull's simplices must form a closed surface. If every simplex lies in a face that has all rays on one side, the
-    surface is the whole boundary, so no face is missing. Simplices without area, which Qhull makes where more rays than needed share
-    a face, lie in the faces of their neighbours.
+    surface is the whole boundary, so no face is missing. Simplices without area, which Qhull makes where more rays than
+    needed share a face, lie in the faces of their neighbours.
     """
     if not _is_closed(simplices):
         raise ProjectionError("the cone is not closed: Qhull's simplices leave a gap")

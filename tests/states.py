@@ -21,7 +21,7 @@ def contact_set(points, frames, friction) -> jaxcap.ContactSet:
 def random_states(sets: int, states: int, seed: int):
     """`states` states for each of `sets` contact sets of 2, 3 and 4 rectangles in turn.
 
-    Returns the contacts (list of sampler arrays), cones stacked (one for each state), coms and velocities (sets * states, 3).
+    Returns the contacts (list of sampler arrays), cones stacked (one for each state), and coms and velocities (n, 3).
     """
     rng = np.random.default_rng(seed)
     contacts, cones, coms, velocities = [], [], [], []

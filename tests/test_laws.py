@@ -109,7 +109,7 @@ def assert_never_worse(less, more):
 
 
 def test_jit_vmap_loop_and_score_agree():
-    contacts, cones, coms, velocities = random_states(SETS, STATES, 11)
+    _, cones, coms, velocities = random_states(SETS, STATES, 11)
     mapped = each()(cones, coms, velocities)
     single = jax.jit(jaxcap.capturability)
     pick = lambda tree, i: jax.tree.map(lambda leaf: np.asarray(leaf[i]), tree)
