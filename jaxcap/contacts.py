@@ -3,6 +3,7 @@
 from dataclasses import dataclass, fields
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
@@ -31,8 +32,9 @@ class ContactSet:
         traced = any(isinstance(x, jax.core.Tracer) for x in (points, frames, friction, mask))
         if not traced:
             points, frames, friction, mask = _checked(points, frames, friction, mask)
-        elif mask is None:
-            mask = np.ones(points.shape[:-1], dtype=bool)
+        else:
+            points, frames, friction = (jnp.asarray(x) for x in (points, frames, friction))
+            mask = jnp.ones(points.shape[:-1], dtype=bool) if mask is None else jnp.asarray(mask)
         for name, value in (("points", points), ("frames", frames), ("friction", friction), ("mask", mask)):
             object.__setattr__(self, name, value)
 
@@ -70,7 +72,7 @@ class ContactSet:
         return contacts
 
 
-def rectangle(position, rotation, half_length: float, half_width: float, friction: float) -> ContactSet:
+def rectangle(position, rotation, half_length, half_width, friction) -> ContactSet:
     """A foot or a hand: four contacts at the corners of a rectangle.
 
     position: (3,) centre [m]. rotation: (3, 3), columns: direction of the length, of the width, normal pointing at the

@@ -1,0 +1,75 @@
+"""`score`: any number of states, in order, bad rows alone, the same as one at a time."""
+
+import subprocess
+import sys
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxcap
+from jaxcap import Case, Status
+from jaxcap.batch import BLOCK, LANES
+
+FEET = jaxcap.rectangle([0, 0.1, 0], np.eye(3), 0.1, 0.05, 0.5) + jaxcap.rectangle([0, -0.1, 0], np.eye(3), 0.1, 0.05, 0.5)
+CONE = jaxcap.centroidal_cone(FEET)
+
+
+def states(n, seed=0):
+    rng = np.random.default_rng(seed)
+    coms = rng.uniform([-0.3, -0.3, 0.4], [0.3, 0.3, 1.2], (n, 3)).astype(np.float32)
+    return coms, rng.uniform(-1, 1, (n, 3)).astype(np.float32)
+
+
+@pytest.mark.parametrize("n", [0, 1, LANES - 1, LANES, LANES + 1, BLOCK - 1, BLOCK + 1])
+def test_every_state_is_answered_in_its_place(n):
+    """A batch of any size equals the beginning of a larger one, bit for bit."""
+    coms, velocities = states(BLOCK + 100)
+    every = jaxcap.score(CONE, coms, velocities)
+    some = jaxcap.score(CONE, coms[:n], velocities[:n])
+    for field, whole in zip(some, every, strict=True):
+        assert field.shape == (n,)
+        np.testing.assert_array_equal(field, whole[:n])
+
+
+def test_fields_have_their_types():
+    answer = jaxcap.score(CONE, *states(10))
+    assert answer.capturable.dtype == bool
+    assert answer.case.dtype == answer.status.dtype == np.int8
+    assert {getattr(answer, name).dtype for name in answer._fields[3:]} == {np.dtype(np.float32)}
+
+
+def test_one_bad_row_costs_no_other():
+    coms, velocities = states(200)
+    good = jaxcap.score(CONE, coms, velocities)
+    coms[17, 1], velocities[40, 2], velocities[90] = np.nan, np.inf, 0
+    answer = jaxcap.score(CONE, coms, velocities)
+    assert answer.status[17] == answer.status[40] == Status.NONFINITE
+    assert answer.case[17] == answer.case[40] == Case.UNDECIDED
+    assert answer.status[90] == Status.NO_DIRECTION
+    others = np.delete(np.arange(200), [17, 40, 90])
+    for one, other in zip(answer, good, strict=True):
+        np.testing.assert_array_equal(np.asarray(one)[others], np.asarray(other)[others])
+
+
+def test_lists_and_whole_numbers_are_taken():
+    answer = jaxcap.score(CONE, jnp.array([[0, 0, 1]]), jnp.array([[0, 0, 1]]))
+    assert answer.capturable.all()
+    assert answer.margin.dtype == np.float32
+
+
+def test_gradient_through_score():
+    coms, velocities = states(70)
+    total = lambda velocities: jnp.sum(jaxcap.score(CONE, coms, velocities).margin)
+    one = jax.vmap(jax.grad(lambda com, velocity: jaxcap.capturability(CONE, com, velocity).margin, argnums=1))
+    np.testing.assert_allclose(jax.grad(total)(jnp.asarray(velocities)), one(coms, velocities), rtol=1e-3, atol=1e-3)
+
+
+def test_importing_costs_no_extra():
+    """The core alone: no reader, plotter, robot or command line is imported with it; the x64 switch stays as it is."""
+    program = (
+        "import sys, jaxcap, jax; heavy = {'pyarrow', 'matplotlib', 'pinocchio', 'tyro', 'tqdm', 'yaml'} & set(sys.modules);"
+        "assert not heavy, heavy; assert not jax.config.jax_enable_x64"
+    )
+    subprocess.run([sys.executable, "-c", program], check=True)
