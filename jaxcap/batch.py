@@ -1,5 +1,7 @@
 """Many states: chunks for the cache, blocks for the cores."""
 
+import os
+from concurrent.futures import ThreadPoolExecutor
 
 import jax
 import jax.numpy as jnp
@@ -12,7 +14,7 @@ from jaxcap.result import Capturability
 
 LANES = 64
 """States of a chunk, computed side by side: rows x lanes numbers should fit the cache."""
-BLOCK = 1 << 14
+BLOCK = 1 << 13
 """States of a block, one call of the compiled program; several run at a time."""
 ROWS = 16
 """Faces are padded to a multiple of this, so that not every contact set is compiled anew."""
@@ -39,17 +41,31 @@ def score(
     if isinstance(coms, jax.core.Tracer) or isinstance(com_velocities, jax.core.Tracer):
         return _score_block(cone, coms, com_velocities, gravity)
     n = len(coms)
-    # dispatched without waiting, so that blocks run side by side
-    parts = [
-        _compiled(cone, _block(coms, start), _block(com_velocities, start), gravity) for start in range(0, max(n, 1), BLOCK)
-    ]
+    run = lambda start: _compiled(cone, _block(coms, start), _block(com_velocities, start), gravity)
+    first, *starts = range(0, max(n, 1), BLOCK)
+    parts = [run(first), *_side_by_side(run, starts)]
     return jax.tree.map(lambda *fields: jnp.concatenate(fields)[:n], *parts)
+
+
+def _side_by_side(run, starts):
+    """The results of run(start), in order, from one thread a core: on a CPU, JAX runs what one thread asks for in sequence.
+
+    Called after a first run, which has compiled the program.
+    """
+    x64 = jax.config.jax_enable_x64
+
+    def in_thread(start):
+        with jax.enable_x64(x64):   # the switch belongs to a thread
+            return jax.block_until_ready(run(start))
+
+    with ThreadPoolExecutor(max_workers=os.cpu_count()) as threads:
+        return list(threads.map(in_thread, starts))
 
 
 def _block(states, start):
     """One block of states (m, 3), padded to the next of a few sizes, each of which is compiled once."""
     block = states[start : start + BLOCK]
-    size = min(BLOCK, max(LANES, 1 << (len(block) - 1).bit_length())) if len(block) else LANES
+    size = BLOCK if start else min(BLOCK, max(LANES, 1 << max(len(block) - 1, 0).bit_length()))
     return jnp.pad(block, ((0, size - len(block)), (0, 0)))
 
 
