@@ -51,6 +51,8 @@ class Speeds(NamedTuple):
     """Up to it the robot comes to rest in the static region, perhaps after swings."""
     stops: Float[Array, "*n"]
     """Up to it maximum deceleration stops anywhere."""
+    known: Bool[Array, "*n"]
+    """False where a boundary has more pieces than are walked."""
 
 
 def capturability(
@@ -107,11 +109,12 @@ def _speeds(line: Line) -> Speeds:
     stops = jnp.where(line.survey.feasible, stops_within(lower.end), 0)
     farthest = farthest_rest(rows, s_min, s_max, line.hanging)
     inside = jnp.where(line.hanging, stops_within(s_max), stops)
-    largest = jnp.where(line.hanging, jnp.maximum(inside, stops_within(farthest)), stops)
+    largest = jnp.where(line.hanging, jnp.maximum(inside, stops_within(farthest.alpha)), stops)
     before = jnp.where(line.ahead, jnp.minimum(stops_within(s_min), inside), 0)
     smallest = jnp.where(line.ahead, jnp.minimum(root(2 * line.upper.gain(s_min)), before), 0)
     some = line.survey.standing & line.survey.feasible
-    return Speeds(jnp.where(some, smallest, 0), before, inside, jnp.where(some, largest, 0), stops)
+    known = farthest.known & (lower.ending != End.MAX_PIECES) & (line.upper.ending != End.MAX_PIECES)
+    return Speeds(jnp.where(some, smallest, 0), before, inside, jnp.where(some, largest, 0), stops, known)
 
 
 def _case(line: Line, speeds: Speeds, speed):
@@ -159,12 +162,12 @@ def _answer(line: Line, speed, finite) -> Capturability:
     residual = jnp.where(case == Case.C3_3, swings.residual_speed, residual)
     deceleration = jnp.where(at_once, jnp.inf, -lower.at(stop))
 
-    status = jnp.where(swings.swinging, Status.MAX_SWINGS, Status.OK)
-    status = jnp.where(moving, status, Status.NO_DIRECTION)
-    too_long = (lower.ending == End.MAX_PIECES) | (line.upper.ending == End.MAX_PIECES)
-    status = jnp.where(too_long, Status.MAX_STEPS, status)
-    status = jnp.where(finite, status, Status.NONFINITE)
-    decided = finite & ~too_long
+    status = jnp.select(
+        [~finite, ~speeds.known, ~moving, swings.swinging],
+        [Status.NONFINITE, Status.MAX_STEPS, Status.NO_DIRECTION, Status.MAX_SWINGS],
+        Status.OK,
+    )
+    decided = finite & speeds.known
     capturable &= decided
     figure = lambda known, value: jnp.where(decided & known, value, jnp.nan)
     stopped = capturable & (status != Status.MAX_SWINGS)

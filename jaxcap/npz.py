@@ -5,7 +5,7 @@ import tempfile
 import zipfile
 import zlib
 from collections.abc import Iterator, Mapping
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import AbstractContextManager, ExitStack, closing, contextmanager
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
@@ -41,7 +41,7 @@ class Member(NamedTuple):
         return math.prod(self.row) * self.dtype.itemsize
 
 
-class NpzStates:
+class NpzStates(AbstractContextManager):
     """An open NPZ file of states. Iterating yields a StateBatch for each `batch_size` rows.
 
     Raises InputError, here or while iterating, if the file cannot be read or does not hold states.
@@ -121,9 +121,6 @@ class NpzStates:
 
     def close(self) -> None:
         self._archive.close()
-
-    def __enter__(self) -> "NpzStates":
-        return self
 
     def __exit__(self, *_) -> None:
         self.close()

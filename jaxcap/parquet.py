@@ -1,7 +1,7 @@
 """Parquet state files, read and written in pieces. Importing this module needs pyarrow (extra `data`)."""
 
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -21,7 +21,7 @@ ROW_GROUP = 1 << 16
 """Rows that a row group of the output holds at least, so that the footer stays small whatever the batch size."""
 
 
-class ParquetStates:
+class ParquetStates(AbstractContextManager):
     """An open Parquet file of states. Iterating yields a StateBatch for each `batch_size` rows.
 
     Raises InputError, here or while iterating, if the file cannot be read or does not hold states.
@@ -75,9 +75,6 @@ class ParquetStates:
 
     def close(self) -> None:
         self._file.close()
-
-    def __enter__(self) -> "ParquetStates":
-        return self
 
     def __exit__(self, *_) -> None:
         self.close()

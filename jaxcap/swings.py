@@ -19,13 +19,22 @@ MAX_SWINGS = 64
 """Most swings that are followed to their end for distance and time."""
 
 
-def farthest_rest(rows: Polygon, s_min, s_max, hanging: Bool[Array, "*n"]) -> Float[Array, "*n"]:
-    """The farthest alpha >= s_max from which, at rest, the robot is captured [m]; s_max in lanes that are not `hanging`.
+class Farthest(NamedTuple):
+    """The farthest place of rest from which the robot is captured."""
+
+    alpha: Float[Array, "*n"]
+    """[m], at least s_max."""
+    known: Bool[Array, "*n"]
+    """False where the polygon has more edges than are walked."""
+
+
+def farthest_rest(rows: Polygon, s_min, s_max, hanging: Bool[Array, "*n"]) -> Farthest:
+    """The farthest alpha from which, at rest, the robot is captured; s_max in lanes that are not `hanging`.
 
     The way back to s_max gains at least the energy under the upper boundary; the way on from there can take away as much as
     maximum deceleration does until it diverges or leaves the polygon. A static region without length takes nothing.
     """
-    skip = lambda rows, s_min, s_max, hanging: s_max
+    skip = lambda rows, s_min, s_max, hanging: Farthest(s_max, jnp.ones_like(hanging))
     return jax.lax.cond(jnp.any(hanging), _farthest_rest, skip, rows, s_min, s_max, hanging)
 
 
@@ -38,7 +47,8 @@ def _farthest_rest(rows, s_min, s_max, hanging):
     absorbed = jnp.maximum(-back.gain(back.end), 0)
     everything = (back.ending == End.NEVER) | (back.ending == End.FLOORLESS)
     beyond = jnp.where(everything, outwards.end, jnp.minimum(outwards.negated().ride(absorbed).alpha, outwards.end))
-    return jnp.where(hanging, s_max + beyond, s_max)
+    known = (back.ending != End.MAX_PIECES) & (outwards.ending != End.MAX_PIECES)
+    return Farthest(jnp.where(hanging, s_max + beyond, s_max), known)
 
 
 class Swing(NamedTuple):
@@ -69,6 +79,7 @@ def swing(rows: Polygon, s_min, s_max, ride: Ride, swinging: Bool[Array, "*n"]) 
     def once(state: Swing) -> Swing:
         lower = rows.seen_from(state.alpha, state.heading).boundary(jnp.where(state.swinging, jnp.inf, 0))
         at_end = lower.gain(lower.end)
+        unknown = lower.ending == End.MAX_PIECES   # it then swings on to the bound, and has no time
         lost = state.swinging & (at_end > 0) & (lower.ending != End.NEVER)
         back = lower.ride(jnp.zeros_like(alpha))
         travelled = jnp.where(state.swinging & ~lost, back.alpha, 0)
@@ -77,7 +88,7 @@ def swing(rows: Polygon, s_min, s_max, ride: Ride, swinging: Bool[Array, "*n"]) 
             count=state.count + 1,
             alpha=rest,
             heading=-state.heading,
-            swinging=state.swinging & ~lost & ~((s_min <= rest) & (rest <= s_max)),
+            swinging=state.swinging & (unknown | ~lost & ~((s_min <= rest) & (rest <= s_max))),
             distance=state.distance + travelled,
             time=state.time + jnp.where(travelled > 0, back.time, 0),
             residual_speed=jnp.where(lost, root(2 * at_end), state.residual_speed),
