@@ -53,6 +53,16 @@ def test_one_bad_row_costs_no_other():
         np.testing.assert_array_equal(np.asarray(one)[others], np.asarray(other)[others])
 
 
+def test_double_precision_reaches_every_block():
+    """Blocks run in threads, and JAX keeps its x64 switch by thread."""
+    coms, velocities = (x.astype(np.float64) for x in states(2 * BLOCK + 5))
+    with jax.enable_x64(True):
+        answer = jaxcap.score(CONE, coms, velocities)
+        last = jaxcap.score(CONE, coms[-LANES:], velocities[-LANES:])
+    assert answer.margin.dtype == np.float64
+    np.testing.assert_allclose(answer.margin[-LANES:], last.margin, rtol=1e-12)
+
+
 def test_lists_and_whole_numbers_are_taken():
     answer = jaxcap.score(CONE, jnp.array([[0, 0, 1]]), jnp.array([[0, 0, 1]]))
     assert answer.capturable.all()
@@ -60,7 +70,7 @@ def test_lists_and_whole_numbers_are_taken():
 
 
 def test_gradient_through_score():
-    coms, velocities = states(70)
+    coms, velocities = states(5)
     total = lambda velocities: jnp.sum(jaxcap.score(CONE, coms, velocities).margin)
     one = jax.vmap(jax.grad(lambda com, velocity: jaxcap.capturability(CONE, com, velocity).margin, argnums=1))
     np.testing.assert_allclose(jax.grad(total)(jnp.asarray(velocities)), one(coms, velocities), rtol=1e-3, atol=1e-3)
