@@ -5,7 +5,7 @@ import tempfile
 import zipfile
 import zlib
 from collections.abc import Iterator, Mapping
-from contextlib import AbstractContextManager, ExitStack, closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
@@ -15,6 +15,7 @@ from numpy.lib import format as npy
 
 from jaxcap.columns import METADATA, VECTORS, StateBatch, refuse_clashes, spelling, to_json
 from jaxcap.errors import InputError
+from jaxcap.state_file import StateFile
 
 PIECE = 1 << 24
 """Bytes that are copied or converted at a time."""
@@ -41,27 +42,18 @@ class Member(NamedTuple):
         return math.prod(self.row) * self.dtype.itemsize
 
 
-class NpzStates(AbstractContextManager):
-    """An open NPZ file of states. Iterating yields a StateBatch for each `batch_size` rows.
+class NpzStates(StateFile):
+    """An open NPZ file of states."""
 
-    Raises InputError, here or while iterating, if the file cannot be read or does not hold states.
-    """
-
-    def __init__(self, path: Path, batch_size: int, dtype: np.dtype):
-        self.path, self.batch_size, self.dtype = path, batch_size, np.dtype(dtype)
-        with _readable(path):
-            self._archive = zipfile.ZipFile(path)
-        try:
-            self._open()
-        except BaseException:
-            self.close()
-            raise
+    def _opened(self):
+        with _readable(self.path):
+            return zipfile.ZipFile(self.path)
 
     def _open(self) -> None:
         with _readable(self.path):
             members = {
-                name.removesuffix(".npy"): _header(self._archive, name)
-                for name in self._archive.namelist() if name.endswith(".npy")
+                name.removesuffix(".npy"): _header(self._file, name)
+                for name in self._file.namelist() if name.endswith(".npy")
             }
         for member in members.values():
             if member.dtype.hasobject:
@@ -107,7 +99,7 @@ class NpzStates(AbstractContextManager):
         places = math.prod(member.row) if member.fortran else 1
         width = member.width // places
         with ExitStack() as stack:
-            files = [stack.enter_context(self._archive.open(f"{member.name}.npy")) for _ in range(places)]
+            files = [stack.enter_context(self._file.open(f"{member.name}.npy")) for _ in range(places)]
             for place, file in enumerate(files):
                 file.seek(member.start + place * self.rows * width)
             for first in range(0, self.rows, self.batch_size):
@@ -118,12 +110,6 @@ class NpzStates(AbstractContextManager):
                 else:
                     yield pieces[0].reshape(n, *member.row)
             files[-1].read(1)  # reaching the end makes zipfile compare the checksum
-
-    def close(self) -> None:
-        self._archive.close()
-
-    def __exit__(self, *_) -> None:
-        self.close()
 
 
 class NpzWriter:

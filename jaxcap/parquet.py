@@ -1,7 +1,7 @@
 """Parquet state files, read and written in pieces. Importing this module needs pyarrow (extra `data`)."""
 
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import AbstractContextManager, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -13,6 +13,7 @@ from jaxtyping import Float
 from jaxcap.arrow_columns import arrow_field, is_list, is_number, numbers, to_arrow, vectors
 from jaxcap.columns import FIELDS, NAMES, VECTORS, StateBatch, refuse_clashes, spelling, to_json
 from jaxcap.errors import InputError
+from jaxcap.state_file import StateFile
 
 READ_AHEAD = 1 << 20
 """Bytes of each column that are read at a time."""
@@ -21,24 +22,17 @@ ROW_GROUP = 1 << 16
 """Rows that a row group of the output holds at least, so that the footer stays small whatever the batch size."""
 
 
-class ParquetStates(AbstractContextManager):
-    """An open Parquet file of states. Iterating yields a StateBatch for each `batch_size` rows.
-
-    Raises InputError, here or while iterating, if the file cannot be read or does not hold states.
-    """
+class ParquetStates(StateFile):
+    """An open Parquet file of states."""
 
     skipped = ()  # every column of a Parquet file has one value for each row
 
-    def __init__(self, path: Path, batch_size: int, dtype: np.dtype):
-        self.path, self.batch_size, self.dtype = path, batch_size, np.dtype(dtype)
-        with _readable(path):
+    def _opened(self):
+        with _readable(self.path):
             # without pre_buffer=False the bytes of every row group are kept until the end
-            self._file = pq.ParquetFile(path, pre_buffer=False, buffer_size=READ_AHEAD, page_checksum_verification=True)
-        try:
-            self._open()
-        except BaseException:
-            self.close()
-            raise
+            return pq.ParquetFile(
+                self.path, pre_buffer=False, buffer_size=READ_AHEAD, page_checksum_verification=True
+            )
 
     def _open(self) -> None:
         with _readable(self.path):
@@ -72,12 +66,6 @@ class ParquetStates(AbstractContextManager):
         if len(names) == 1:
             return vectors(columns[names[0]], self.dtype, f"{self.path}: column {names[0]!r}", row)
         return np.stack([numbers(columns[name], self.dtype) for name in names], axis=1)
-
-    def close(self) -> None:
-        self._file.close()
-
-    def __exit__(self, *_) -> None:
-        self.close()
 
 
 class ParquetWriter:

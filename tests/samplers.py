@@ -57,3 +57,10 @@ def random_state(rng, points):
     low, high = points.min(axis=0), points.max(axis=0)
     com = rng.uniform(low - np.array([SIDEWAYS, SIDEWAYS, BELOW]), high + np.array([SIDEWAYS, SIDEWAYS, ABOVE]))
     return com, rng.uniform(-1.0, 1.0, size=3)
+
+
+def random_samples(rng, count):
+    """`count` contact sets of 2, 3 and 4 rectangles in turn, each with a state: yields contacts, com, com_velocity."""
+    for i in range(count):
+        contacts = random_contacts(rng, 2 + i % 3)
+        yield contacts, *random_state(rng, contacts[0])

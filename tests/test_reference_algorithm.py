@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from samplers import join, random_contacts, random_state, rectangle
+from samplers import join, random_contacts, random_samples, random_state, rectangle
 from scipy.integrate import solve_ivp
 from scipy.spatial import ConvexHull
 
@@ -145,9 +145,7 @@ def test_pieces_hold_and_join(flat):
 def test_closest_static_alpha_is_the_nearest_point_of_the_static_interval():
     rng = np.random.default_rng(4)
     seen = set()
-    for i in range(120):
-        contacts = random_contacts(rng, 2 + i % 3)
-        com, velocity = random_state(rng, contacts[0])
+    for contacts, com, velocity in random_samples(rng, 120):
         direction, alpha = velocity / np.linalg.norm(velocity), rng.uniform(0.0, 1.0)
         alpha_s = compute_closest_static_alpha(com, alpha, direction, wrench_rays(*contacts))
         interval = static_interval(*contacts, com, direction)
@@ -292,8 +290,6 @@ def test_figures_do_not_depend_on_where_the_origin_is():
 def test_every_case_occurs_among_the_samples():
     rng = np.random.default_rng(7)
     cases = set()
-    for i in range(400):
-        contacts = random_contacts(rng, 2 + i % 3)
-        com, velocity = random_state(rng, contacts[0])
+    for contacts, com, velocity in random_samples(rng, 400):
         cases.add(is_state_capturable(*contacts, com, velocity).case)
     assert cases == {"C1", "C2", "C3_1", "C3_2_1", "C3_2_2", "C3_3", "EMPTY"}
