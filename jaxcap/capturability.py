@@ -11,13 +11,15 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Num
 
 from jaxcap.boundary import Boundary, End
-from jaxcap.cone import CentroidalCone
+from jaxcap.cone import CentroidalCone, ConeRays
 from jaxcap.contacts import FloatArray
 from jaxcap.numerics import direction, root, tolerances
-from jaxcap.polygon import Polygon, Survey, polygon
+from jaxcap.polygon import polygon
+from jaxcap.ray_polygon import ray_polygon
 from jaxcap.reach import reach_time
 from jaxcap.result import Capturability, Case, Status
 from jaxcap.swings import farthest_rest, swing
+from jaxcap.walk import Producer, Survey
 
 GRAVITY = (0.0, 0.0, -9.81)
 """[m/s^2], z up."""
@@ -26,7 +28,7 @@ GRAVITY = (0.0, 0.0, -9.81)
 class Line(NamedTuple):
     """The line of travel and the walk along it: everything that does not depend on the speed."""
 
-    rows: Polygon
+    polygon: Producer
     survey: Survey
     ahead: Bool[Array, "*n"]
     """The static region lies ahead, and gravity pulls away from it."""
@@ -56,7 +58,7 @@ class Speeds(NamedTuple):
 
 
 def capturability(
-    cone: CentroidalCone, com: Num[FloatArray, "3"], com_velocity: Num[FloatArray, "3"], gravity=GRAVITY
+    cone: CentroidalCone | ConeRays, com: Num[FloatArray, "3"], com_velocity: Num[FloatArray, "3"], gravity=GRAVITY
 ) -> Capturability:
     """Can the robot come to rest without moving a contact, its CoM decelerating along its own velocity?
 
@@ -76,44 +78,45 @@ def capturability(
 
 @jax.jit
 def capturability_of_lanes(
-    cone: CentroidalCone, com: Num[Array, "3 *n"], com_velocity: Num[Array, "3 *n"], gravity
+    cone: CentroidalCone | ConeRays, com: Num[Array, "3 *n"], com_velocity: Num[Array, "3 *n"], gravity
 ) -> Capturability:
     """`capturability` of states side by side, lanes last."""
     dtype = jnp.promote_types(jnp.result_type(com, com_velocity), jnp.float32)
     com, com_velocity = com.astype(dtype), com_velocity.astype(dtype)
     finite = jnp.all(jnp.isfinite(com) & jnp.isfinite(com_velocity), axis=0)
     along, speed = direction(jnp.where(finite, com_velocity, 0))
-    line = _line(polygon(cone, jnp.where(finite, com, 0), along, jnp.asarray(gravity, dtype)))
+    cut = ray_polygon if isinstance(cone, ConeRays) else polygon
+    line = _line(cut(cone, jnp.where(finite, com, 0), along, jnp.asarray(gravity, dtype)))
     return _answer(line, speed, finite)
 
 
-def _line(rows: Polygon) -> Line:
-    survey = rows.survey()
+def _line(polygon: Producer) -> Line:
+    survey = polygon.survey()
     standing = survey.standing & survey.feasible
-    lower = rows.boundary(jnp.where(survey.feasible, jnp.inf, 0))
-    ahead = standing & (survey.s_min > 0) & (survey.highest < 0)
-    upper = rows.flipped().boundary(jnp.where(ahead, survey.s_min, 0))
-    same_alpha = tolerances(survey.s_max.dtype).same_alpha * rows.size
+    lower = polygon.boundary(jnp.where(survey.feasible, jnp.inf, 0))
+    ahead = standing & (survey.s_min > 0) & survey.pulled_back
+    upper = polygon.flipped().boundary(jnp.where(ahead, survey.s_min, 0))
+    same_alpha = tolerances(survey.s_max.dtype).same_alpha * polygon.size
     hanging = standing & (lower.ending != End.DIVERGES) & (survey.s_max < lower.end - same_alpha)
-    return Line(rows, survey, ahead, hanging, lower, upper)
+    return Line(polygon, survey, ahead, hanging, lower, upper)
 
 
 def _speeds(line: Line) -> Speeds:
     """By the energy integrals: to stop within alpha is to have no more energy than deceleration takes until there."""
-    rows, lower, s_min, s_max = line.rows, line.lower, line.survey.s_min, line.survey.s_max
+    polygon, lower, s_min, s_max = line.polygon, line.lower, line.survey.s_min, line.survey.s_max
 
     def stops_within(alpha):
         endless = (alpha == jnp.inf) | (lower.ending == End.FLOORLESS)
         return jnp.where(alpha < 0, 0, jnp.where(endless, jnp.inf, root(-2 * lower.gain(jnp.maximum(alpha, 0)))))
 
     stops = jnp.where(line.survey.feasible, stops_within(lower.end), 0)
-    farthest = farthest_rest(rows, s_min, s_max, line.hanging)
+    farthest = farthest_rest(polygon, s_min, s_max, line.hanging)
     inside = jnp.where(line.hanging, stops_within(s_max), stops)
     largest = jnp.where(line.hanging, jnp.maximum(inside, stops_within(farthest.alpha)), stops)
     before = jnp.where(line.ahead, jnp.minimum(stops_within(s_min), inside), 0)
     smallest = jnp.where(line.ahead, jnp.minimum(root(2 * line.upper.gain(s_min)), before), 0)
     some = line.survey.standing & line.survey.feasible
-    known = farthest.known & (lower.ending != End.MAX_PIECES) & (line.upper.ending != End.MAX_PIECES)
+    known = line.survey.known & farthest.known & (lower.ending != End.MAX_PIECES) & (line.upper.ending != End.MAX_PIECES)
     return Speeds(jnp.where(some, smallest, 0), before, inside, jnp.where(some, largest, 0), stops, known)
 
 
@@ -154,7 +157,7 @@ def _answer(line: Line, speed, finite) -> Capturability:
     stop = ride.alpha
     reaching = case == Case.C3_2_1
     reached = reach_time(lower, line.upper, line.survey.s_min, energy, reaching)
-    swings = swing(line.rows, line.survey.s_min, line.survey.s_max, ride, (case == Case.C3_3) & moving)
+    swings = swing(line.polygon, line.survey.s_min, line.survey.s_max, ride, (case == Case.C3_3) & moving)
     gain, stops = lower.gain(lower.end), jnp.where(jnp.isfinite(speeds.stops), speeds.stops, speed)
     # speed^2 + 2 gain, in the form without cancellation where the walk nearly stops
     excess = jnp.where(gain > 0, speed * speed + 2 * gain, (speed - stops) * (speed + stops))

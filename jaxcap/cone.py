@@ -1,10 +1,11 @@
-"""The centroidal cone of a contact set, as faces."""
+"""The centroidal cone of a contact set: by its faces, or by its rays."""
 
 from dataclasses import dataclass
 
 import jax
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Bool, Float
 
 from jaxcap.contacts import ContactSet, FloatArray
 from jaxcap.friction import wrench_rays
@@ -56,3 +57,40 @@ def centroidal_cone(contacts: ContactSet, sides: int = 4) -> CentroidalCone:
         raise ProjectionError(f"faces of {len(active)} contacts with {sides} sides: {error}") from error
     order = np.lexsort(np.round(faces, 9).T)
     return CentroidalCone(faces=faces[order] / scale, origin=origin, length=np.asarray(length))
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class ConeRays:
+    """All wrenches that the contacts can exert: sums of these rays (force, torque about `origin`) with weights >= 0.
+
+    One contact set, or a batch of them with equally many rows.
+    """
+
+    rays: Float[Array, "*batch r 6"]
+    """[-] for force, of unit length, [m] for torque; rays of masked contacts are zero."""
+    mask: Bool[Array, "*batch r"]
+    """False for the rays of masked contacts."""
+    origin: Float[Array, "*batch 3"]
+    """Centroid of the contact points [m]: a robot far from the world's origin is scored like one near it."""
+    length: Float[Array, "*batch"]
+    """Distance of the farthest contact point from the origin [m], or 1 where there is none."""
+
+
+def cone_rays(contacts: ContactSet, sides: int = 4) -> ConeRays:
+    """The rays of the contacts' friction pyramids: the centroidal cone without its faces, at no cost.
+
+    contacts: one set, or a batch of sets of equally many rows (see `ContactSet.padded`), each of which may be masked in
+    part or altogether. sides: edges of each friction pyramid, >= 3. Pure: works under jit, vmap, and is differentiable in
+    points, frames and friction. Raises ValueError if sides < 3.
+    """
+    contacts = jax.tree.map(jnp.asarray, contacts)
+    mask = contacts.mask[..., None]
+    count = jnp.maximum(jnp.sum(mask, axis=-2), 1)
+    # Where torques are taken about changes nothing, nor does their scale: no gradient.
+    points = jax.lax.stop_gradient(contacts.points)
+    origin = jnp.sum(jnp.where(mask, points, 0), axis=-2) / count
+    square = jnp.max(jnp.sum(jnp.where(mask, points - origin[..., None, :], 0) ** 2, axis=-1), axis=-1, initial=0)
+    length = jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1)), 1)
+    mask = jnp.repeat(contacts.mask, sides, axis=-1)
+    return ConeRays(rays=wrench_rays(contacts, sides, origin), mask=mask, origin=origin, length=length)

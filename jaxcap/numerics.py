@@ -18,13 +18,19 @@ class Tolerances(NamedTuple):
     """Two lines whose slopes differ by less than this, relatively, do not cross."""
     same_alpha: float
     """Positions this close, relative to the size of the stance and the CoM's distance from it, are one position."""
+    pivot: float
+    """An entry of the simplex this small is zero: no pivot."""
+    reduced_cost: float
+    """A ray outside the current face by less than this, relative to the face's normal, lies on it."""
+    weight: float
+    """A ray's weight this far below zero, relative to gravity's wrench, is zero."""
 
 
 def tolerances(dtype) -> Tolerances:
     """The tolerances of a floating-point dtype."""
     if jnp.finfo(dtype).bits == 64:
-        return Tolerances(zero_coefficient=1e-13, slack=1e-12, parallel=1e-14, same_alpha=1e-9)
-    return Tolerances(zero_coefficient=1e-6, slack=2e-6, parallel=1e-6, same_alpha=1e-4)
+        return Tolerances(1e-13, 1e-12, 1e-14, 1e-9, pivot=1e-9, reduced_cost=1e-12, weight=1e-13)
+    return Tolerances(1e-6, 2e-6, 1e-6, 1e-4, pivot=1e-4, reduced_cost=2e-6, weight=4e-7)
 
 
 def root(square: Float[Array, "*n"]) -> Float[Array, "*n"]:

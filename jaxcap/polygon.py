@@ -9,30 +9,13 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
-from jaxcap.boundary import MAX_PIECES, Boundary, End, Pieces
+from jaxcap.boundary import Boundary
 from jaxcap.cone import CentroidalCone
 from jaxcap.numerics import ratio, tolerances
+from jaxcap.walk import Line, Next, Survey, moved, walk
 from jaxcap.wrench_line import wrench_line
-
-
-class Survey(NamedTuple):
-    """The static region, and the polygon at alpha = 0."""
-
-    s_min: Float[Array, "*n"]
-    """Zero acceleration is feasible for alpha from here ... [m]"""
-    s_max: Float[Array, "*n"]
-    """... to here [m]; infinite where nothing bounds them."""
-    standing: Bool[Array, "*n"]
-    """The static region is not empty."""
-    lowest: Float[Array, "*n"]
-    """Smallest acceleration at alpha = 0 [m/s^2], perhaps minus infinity."""
-    highest: Float[Array, "*n"]
-    """Largest acceleration at alpha = 0 [m/s^2], perhaps infinity."""
-    feasible: Bool[Array, "*n"]
-    """Some acceleration keeps the contacts at alpha = 0."""
 
 
 class Polygon(NamedTuple):
@@ -81,17 +64,13 @@ class Polygon(NamedTuple):
             s_min=s_min,
             s_max=s_max,
             standing=static_holds & (s_min <= s_max),
-            lowest=lowest,
-            highest=highest,
             feasible=start_holds & (lowest <= highest),
+            pulled_back=highest < 0,
+            known=jnp.ones_like(start_holds),
         )
 
     def boundary(self, limit: Float[Array, "*n"], rising: bool = False) -> Boundary:
-        """The lower boundary from alpha = 0, where the polygon must be feasible, to where it turns non-negative while
-        rising (C1; not with `rising`), to the polygon's right end (C2), or a little beyond `limit` at most.
-
-        Lanes whose limit is not positive are not walked.
-        """
+        """The lower boundary, as `Producer` has it."""
         return _boundary(self, jax.lax.stop_gradient(limit).astype(self.bound.dtype), rising)
 
 
@@ -128,21 +107,6 @@ def _stored(rows: Polygon) -> Polygon:
     return jax.lax.optimization_barrier(rows)
 
 
-class WalkState(NamedTuple):
-    """Where the walk along the lower boundary stands."""
-
-    alpha: Float[Array, "*n"]
-    """Where the current piece begins [m]."""
-    intercept: Float[Array, "*n"]
-    """Of the current line, at alpha = 0 [m/s^2]."""
-    slope: Float[Array, "*n"]
-    """Of the current line [1/s^2]."""
-    running: Bool[Array, "*n"]
-    """Lanes that have not come to an end."""
-    found: Boundary
-    """The pieces so far."""
-
-
 @functools.partial(jax.custom_jvp, nondiff_argnums=(2,))
 def _boundary(rows: Polygon, limit: Float[Array, "*n"], rising: bool) -> Boundary:
     lower = rows.on_acceleration < 0
@@ -152,30 +116,10 @@ def _boundary(rows: Polygon, limit: Float[Array, "*n"], rising: bool) -> Boundar
     slopes, values = jax.lax.optimization_barrier((slopes, values))
     value = jnp.max(values, axis=0)
     slope = jnp.max(jnp.where(values == value, slopes, -jnp.inf), axis=0)
-    floorless = value == -jnp.inf
     wall = (rows.on_acceleration == 0) & (rows.on_alpha > 0)
     wall = jnp.min(jnp.where(wall, ratio(rows.bound, rows.on_alpha), jnp.inf), axis=0)
-    nothing = jnp.zeros((MAX_PIECES, *limit.shape), limit.dtype)
-    found = Boundary(
-        pieces=Pieces(nothing, nothing, nothing, nothing),
-        count=jnp.zeros((), jnp.int32),
-        end=jnp.where(floorless, wall, jnp.inf),
-        ending=jnp.where(floorless, End.FLOORLESS, End.LIMIT).astype(jnp.int8),
-    )
-    first = WalkState(
-        alpha=jnp.zeros_like(limit),
-        intercept=jnp.where(floorless, 0, value),
-        slope=jnp.where(floorless, 0, slope),
-        running=(limit > 0) & ~floorless,
-        found=found,
-    )
-    last = jax.lax.while_loop(
-        lambda state: jnp.any(state.running) & (state.found.count < MAX_PIECES),
-        lambda state: _next_piece(rows, slopes, limit, rising, state),
-        first,
-    )
-    ending = jnp.where(last.running, End.MAX_PIECES, last.found.ending)
-    return last.found._replace(ending=ending.astype(jnp.int8))
+    follow = lambda alpha, line, _: _follow(rows, slopes, alpha, line)
+    return walk(follow, Line(value, slope), (), value == -jnp.inf, wall, limit, rising)[0]
 
 
 def _crossings(rows: Polygon, intercept, slope):
@@ -188,45 +132,18 @@ def _crossings(rows: Polygon, intercept, slope):
     return jnp.where(crosses, (rows.bound - rows.on_acceleration * intercept) / jnp.where(crosses, rate, 1), jnp.inf)
 
 
-def _next_piece(rows: Polygon, slopes, limit, rising: bool, state: WalkState) -> WalkState:
-    """Record the current line and find the row that ends it; go on along that row, or stop. A pivot of the dual simplex."""
-    alpha, intercept, slope, running, found = state
-    at = jax.lax.optimization_barrier(_crossings(rows, intercept, slope))
+def _follow(rows: Polygon, slopes, alpha, line: Line) -> Next:
+    """The row that ends a line, and the line of that row. A pivot of the dual simplex."""
+    at = jax.lax.optimization_barrier(_crossings(rows, *line))
     end = jnp.maximum(alpha, jnp.min(at, axis=0))
-    next_slope = jnp.max(jnp.where(at <= end, slopes, -jnp.inf), axis=0)   # of several rows, the steepest
-
-    # Where the line rises through zero; a line that is nowhere negative ends the walk at once.
-    zero = jnp.where(slope > 0, -ratio(intercept, slope), jnp.where((slope == 0) & (intercept >= 0), alpha, jnp.inf))
-    zero = jnp.maximum(zero, alpha)
-    diverges = running & (zero <= end) & (zero < jnp.inf) & (not rising)
-    never = running & ~diverges & (end == jnp.inf)
-    leaves = running & ~diverges & ~never & (next_slope == jnp.inf)
-    goes_on = running & ~(diverges | never | leaves | (end >= limit))
-    ending = jnp.select([diverges, never, leaves], [End.DIVERGES, End.NEVER, End.POLYGON], found.ending)
-    # The last line goes on without end, so that what lies beyond its end is still well defined.
-    piece = Pieces(left=alpha, right=jnp.where(goes_on, end, jnp.inf), intercept=intercept, slope=slope)
-    put = lambda fields, value: fields.at[found.count].set(jnp.where(running, value, 0))
-    found = Boundary(
-        pieces=jax.tree.map(put, found.pieces, piece),
-        count=found.count + 1,
-        end=jnp.where(diverges, zero, jnp.where(leaves, end, found.end)),
-        ending=ending.astype(jnp.int8),
-    )
-    return WalkState(
-        alpha=jnp.where(goes_on, end, alpha),
-        intercept=jnp.where(goes_on, intercept + (slope - next_slope) * end, intercept),
-        slope=jnp.where(goes_on, next_slope, slope),
-        running=goes_on,
-        found=found,
-    )
+    slope = jnp.max(jnp.where(at <= end, slopes, -jnp.inf), axis=0)   # of several rows, the steepest
+    return Next(end, slope == jnp.inf, Line(line.intercept + (line.slope - slope) * end, slope), ())
 
 
 @_boundary.defjvp
 def _boundary_jvp(rising, primals, tangents):
-    """The search for the active faces is not differentiated; their lines are, which is exact: pieces join where they meet,
-    so to move a knot changes no integral to first order.
-    """
-    (rows, limit), (moved, _) = primals, tangents
+    """The search for the active faces is not differentiated; their lines are."""
+    (rows, limit), (change, _) = primals, tangents
     found = _boundary(rows, limit, rising)
     pieces = found.pieces
     lower = rows.on_acceleration < 0
@@ -241,30 +158,22 @@ def _boundary_jvp(rising, primals, tangents):
     active = jax.lax.map(active_row, (pieces.slope, pieces.intercept))
     at_active = lambda values: jnp.take_along_axis(values, active, axis=0)
     real = pieces.right > pieces.left
-    change = lambda amount: jnp.where(real, ratio(amount, at_active(rows.on_acceleration)), 0)
-    intercepts = change(at_active(moved.bound) - pieces.intercept * at_active(moved.on_acceleration))
-    slopes = change(-at_active(moved.on_alpha) - pieces.slope * at_active(moved.on_acceleration))
+    per_row = lambda amount: jnp.where(real, ratio(amount, at_active(rows.on_acceleration)), 0)
+    lines = Line(
+        intercept=per_row(at_active(change.bound) - pieces.intercept * at_active(change.on_acceleration)),
+        slope=per_row(-at_active(change.on_alpha) - pieces.slope * at_active(change.on_acceleration)),
+    )
 
-    # The end: the last line's zero; or, where that line is nowhere negative, the knot where it begins; or its crossing
-    # with the row that ends the polygon.
+    # The wall: the last line's crossing with the row that ends the polygon.
     final = jnp.isinf(pieces.right)
-    before = jnp.roll(final, -1, axis=0).at[-1].set(False)
     end = jnp.where(jnp.isfinite(found.end), found.end, 0)
-    pick = lambda which, values: jnp.sum(jnp.where(which, values, 0), axis=0)
-    intercept, slope = pick(final, pieces.intercept), pick(final, pieces.slope)
-    rise = pick(final, intercepts + slopes * end)
-    steeper = jnp.where(before.any(axis=0), slope - pick(before, pieces.slope), 0)
-    at_knot = ratio(pick(before, intercepts + slopes * end) - rise, steeper)
-    at_zero = jnp.where(pick(final, pieces.left) < end, -ratio(rise, slope), at_knot)
+    pick = lambda values: jnp.sum(jnp.where(final, values, 0), axis=0)
+    intercept, slope = pick(pieces.intercept), pick(pieces.slope)
     at = jnp.where(lower, jnp.inf, _crossings(rows, intercept, slope))
-    wall = jnp.argmin(jnp.abs(at - end), axis=0)[None]
-    at_wall = lambda values: jnp.take_along_axis(values, wall, axis=0)[0]
-    past = at_wall(moved.bound) - at_wall(moved.on_acceleration) * (intercept + slope * end) - at_wall(moved.on_alpha) * end
+    row = jnp.argmin(jnp.abs(at - end), axis=0)[None]
+    at_wall = lambda values: jnp.take_along_axis(values, row, axis=0)[0]
+    acceleration, rise = intercept + slope * end, pick(lines.intercept + lines.slope * end)
+    past = at_wall(change.bound) - at_wall(change.on_acceleration) * acceleration - at_wall(change.on_alpha) * end
     past -= at_wall(rows.on_acceleration) * rise
-    rate = at_wall(rows.on_acceleration) * slope + at_wall(rows.on_alpha)
-    at_leaving = jnp.where(found.ending == End.POLYGON, ratio(past, rate), 0)
-    ends = jnp.where(found.ending == End.DIVERGES, at_zero, at_leaving)
-
-    zero = jnp.zeros_like(pieces.left)
-    integer = lambda x: np.zeros(x.shape, jax.dtypes.float0)
-    return found, Boundary(Pieces(zero, zero, intercepts, slopes), integer(found.count), ends, integer(found.ending))
+    wall = ratio(past, at_wall(rows.on_acceleration) * slope + at_wall(rows.on_alpha))
+    return found, moved(found, lines, wall)

@@ -13,7 +13,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxcap.boundary import End, Ride
 from jaxcap.numerics import root, tolerances
-from jaxcap.polygon import Polygon
+from jaxcap.walk import Producer
 
 MAX_SWINGS = 64
 """Most swings that are followed to their end for distance and time."""
@@ -28,22 +28,22 @@ class Farthest(NamedTuple):
     """False where the polygon has more edges than are walked."""
 
 
-def farthest_rest(rows: Polygon, s_min, s_max, hanging: Bool[Array, "*n"]) -> Farthest:
+def farthest_rest(polygon: Producer, s_min, s_max, hanging: Bool[Array, "*n"]) -> Farthest:
     """The farthest alpha from which, at rest, the robot is captured; s_max in lanes that are not `hanging`.
 
     The way back to s_max gains at least the energy under the upper boundary; the way on from there can take away as much as
     maximum deceleration does until it diverges or leaves the polygon. A static region without length takes nothing.
     """
-    skip = lambda rows, s_min, s_max, hanging: Farthest(s_max, jnp.ones_like(hanging))
-    return jax.lax.cond(jnp.any(hanging), _farthest_rest, skip, rows, s_min, s_max, hanging)
+    skip = lambda polygon, s_min, s_max, hanging: Farthest(s_max, jnp.ones_like(hanging))
+    return jax.lax.cond(jnp.any(hanging), _farthest_rest, skip, polygon, s_min, s_max, hanging)
 
 
-def _farthest_rest(rows, s_min, s_max, hanging):
-    hanging &= s_max - s_min > tolerances(s_max.dtype).same_alpha * rows.size
+def _farthest_rest(polygon, s_min, s_max, hanging):
+    hanging &= s_max - s_min > tolerances(s_max.dtype).same_alpha * polygon.size
     base = jnp.where(hanging, s_max, 0)
     limit = jnp.where(hanging, jnp.inf, 0)
-    back = rows.seen_from(base, -1).boundary(limit)
-    outwards = rows.flipped().seen_from(base, 1).boundary(limit, rising=True)
+    back = polygon.seen_from(base, -1).boundary(limit)
+    outwards = polygon.flipped().seen_from(base, 1).boundary(limit, rising=True)
     absorbed = jnp.maximum(-back.gain(back.end), 0)
     everything = (back.ending == End.NEVER) | (back.ending == End.FLOORLESS)
     beyond = jnp.where(everything, outwards.end, jnp.minimum(outwards.negated().ride(absorbed).alpha, outwards.end))
@@ -68,16 +68,16 @@ class Swing(NamedTuple):
     """Speed that is left where a swing did not stop [m/s]."""
 
 
-def swing(rows: Polygon, s_min, s_max, ride: Ride, swinging: Bool[Array, "*n"]) -> Swing:
+def swing(polygon: Producer, s_min, s_max, ride: Ride, swinging: Bool[Array, "*n"]) -> Swing:
     """Swing to and fro until at rest in [s_min, s_max], out of control, or the bound on swings.
 
     ride: the way to the first stop, to which the swings' distance and time are added. Not differentiated.
     """
-    rows, s_min, s_max, ride = jax.lax.stop_gradient((rows, s_min, s_max, ride))
+    polygon, s_min, s_max, ride = jax.lax.stop_gradient((polygon, s_min, s_max, ride))
     alpha = ride.alpha
 
     def once(state: Swing) -> Swing:
-        lower = rows.seen_from(state.alpha, state.heading).boundary(jnp.where(state.swinging, jnp.inf, 0))
+        lower = polygon.seen_from(state.alpha, state.heading).boundary(jnp.where(state.swinging, jnp.inf, 0))
         at_end = lower.gain(lower.end)
         unknown = lower.ending == End.MAX_PIECES   # it then swings on to the bound, and has no time
         lost = state.swinging & (at_end > 0) & (lower.ending != End.NEVER)

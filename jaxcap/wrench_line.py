@@ -27,7 +27,7 @@ class WrenchLine(NamedTuple):
     """(g, c x g)"""
     weight: Float[Array, "*n"]
     """|g| [m/s^2]."""
-    length: Float[Array, ""]
+    length: Float[Array, "*#n"]
     """Size of the stance [m]."""
     reach: Float[Array, "*n"]
     """1 + distance of the CoM from the contacts' centroid over the size of the stance: the scale of rounding errors."""
@@ -39,7 +39,7 @@ def wrench_line(origin, length, com: Float[Array, "3 *n"], along: Float[Array, "
     origin: (3,) centroid of the contacts [m], length: their size [m]. com: [m]. along: unit vectors, or zero. gravity: (3,)
     [m/s^2].
     """
-    column = lambda vector: jnp.asarray(vector, com.dtype).reshape(3, *[1] * (com.ndim - 1))
+    column = lambda vector: jnp.asarray(vector, com.dtype).reshape(3, *jnp.shape(vector)[1:] or [1] * (com.ndim - 1))
     length = jnp.asarray(length, com.dtype)
     arm = com - column(origin)
     gravity = jnp.broadcast_to(column(gravity), com.shape)

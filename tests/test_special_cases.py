@@ -26,9 +26,21 @@ def points(*positions, frames=UP, friction=0.5):
     return jaxcap.ContactSet(np.array(positions, float), frames, friction)
 
 
+FORMS = {   # of one size: compiled once
+    "faces": lambda contacts, sides=4: jaxcap.centroidal_cone(contacts, sides).padded(160),
+    "rays": lambda contacts, sides=4: jaxcap.cone_rays(contacts.padded(16), sides),
+}
+
+
+@pytest.fixture(params=FORMS, autouse=True)
+def form(request):
+    """Every case in both forms of the cone."""
+    global cone_of
+    cone_of = FORMS[request.param]
+
+
 def answer(contacts, com, velocity, dtype=np.float64):
-    cone = jaxcap.centroidal_cone(contacts).padded(160)   # one size: compiled once
-    return jaxcap.capturability(cone, jnp.asarray(com, dtype), jnp.asarray(velocity, dtype))
+    return jaxcap.capturability(cone_of(contacts), jnp.asarray(com, dtype), jnp.asarray(velocity, dtype))
 
 
 FEET = foot(0, 0.1) + foot(0, -0.1)
@@ -46,7 +58,7 @@ def test_flat_ground_is_the_capture_point_in_the_hull_of_the_contacts():
     grid = np.stack(np.meshgrid(*[np.linspace(-0.3, 0.3, 13)] * 2, *[np.linspace(-0.8, 0.8, 9)] * 2), axis=-1).reshape(-1, 4)
     coms = np.column_stack([grid[:, :2], np.full(len(grid), height)])
     velocities = np.column_stack([grid[:, 2:], np.zeros(len(grid))])
-    cone = jaxcap.centroidal_cone(contacts)
+    cone = cone_of(contacts)
     capture_points = grid[:, :2] + grid[:, 2:] / np.sqrt(G / height)
     sides = ConvexHull(contacts.points[:, :2]).equations
     outside = (capture_points @ sides[:, :2].T + sides[:, 2]).max(axis=1)   # distance [m], negative inside
@@ -265,7 +277,7 @@ def test_a_state_that_is_not_finite_is_undecided(bad):
 
 
 def test_too_many_pieces_are_undecided(monkeypatch):
-    monkeypatch.setattr(sys.modules["jaxcap.polygon"], "MAX_PIECES", 1)
+    monkeypatch.setattr(sys.modules["jaxcap.walk"], "MAX_PIECES", 1)
     monkeypatch.setattr(sys.modules["jaxcap.boundary"], "MAX_PIECES", 1)
     jax.clear_caches()
     contacts = foot(0, 0.1, frame=rotation(0.2, 0.3, 0.1)) + foot(0.2, -0.1, frame=rotation(-0.3, 0.1, 0.5), z=0.2)
@@ -292,7 +304,7 @@ def test_too_many_swings_keep_the_verdict(monkeypatch):
 
 
 def test_wrong_shapes_are_type_errors():
-    cone = jaxcap.centroidal_cone(FEET)
+    cone = cone_of(FEET)
     with pytest.raises(TypeError):
         jaxcap.capturability(cone, jnp.zeros((2, 3)), jnp.zeros(3))
     with pytest.raises(TypeError):

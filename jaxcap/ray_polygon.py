@@ -1,0 +1,243 @@
+"""Rays of the cone -> the (alpha, acceleration) polygon of one state, without ever forming its faces.
+
+A vertex of the polygon's dual is an optimal basis of (25); its weights and their rates give the line, the ratio test its
+end, and one pivot of the dual simplex the next line, which is (27)-(29) without forming K again.
+"""
+
+import functools
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from jaxcap import simplex
+from jaxcap.boundary import Boundary, End
+from jaxcap.cone import ConeRays
+from jaxcap.numerics import ratio, tolerances
+from jaxcap.simplex import FREE, UNIT, Basis, Outcome, Program
+from jaxcap.walk import Line, Next, Survey, moved, walk
+from jaxcap.wrench_line import wrench_line
+
+
+class RayPolygon(NamedTuple):
+    """All (alpha, acceleration) whose wrench is a sum of rays with weights >= 0.
+
+    alpha is the distance along the line of travel from the start [m], acceleration is along the line [m/s^2]. Wrenches are
+    force over torque divided by the size of the stance, per unit mass.
+    """
+
+    rays: Float[Array, "6 r *n"]
+    per_acceleration: Float[Array, "6 *n"]
+    per_alpha: Float[Array, "6 *n"]
+    target: Float[Array, "6 *n"]
+    """What the rays have to add up to at alpha = 0 without acceleration: against gravity, and a little into the cone."""
+    scale: Float[Array, "*n"]
+    """Size of that [m/s^2]."""
+    steepest: Float[Array, "*n"]
+    """The largest that a coefficient of alpha can be [1/s^2]."""
+    size: Float[Array, "*n"]
+    """Scale of alpha [m]: size of the stance plus the CoM's distance from it."""
+    start: Basis
+    """Of the smallest acceleration at alpha = 0, or of a place nearby."""
+    outcome: Float[Array, "*n"]
+    """Of that program."""
+
+    def flipped(self) -> "RayPolygon":
+        """With the acceleration's sign turned: its lower boundary is minus the upper boundary of this one."""
+        return self._replace(per_acceleration=-self.per_acceleration, start=_turned(self.start))
+
+    def seen_from(self, start: Float[Array, "*n"], heading) -> "RayPolygon":
+        """With alpha counted from `start`, onwards (heading +1) or back (-1); so is the acceleration."""
+        turned = _turned(self.start)
+        inverse = jnp.where(jnp.asarray(heading) > 0, self.start.inverse, turned.inverse)
+        return self._replace(
+            per_acceleration=heading * self.per_acceleration,
+            per_alpha=heading * self.per_alpha,
+            target=self.target + self.per_alpha * start,
+            start=Basis(self.start.index, inverse),
+        )
+
+    def survey(self) -> Survey:
+        """Static region, and polygon at alpha = 0."""
+        feasible = self.outcome != Outcome.INFEASIBLE
+        lowest = jnp.where(self.outcome == Outcome.OPTIMAL, _value(self.at_start(), self.start), -jnp.inf)
+        least, most = (Program(self.rays, sign * self.per_alpha, self.target, self.scale) for sign in (-1, 1))
+        everywhere = jnp.ones_like(feasible)
+        first = simplex.solve(least, simplex.freed(least, self.start), everywhere)
+        standing = first.outcome != Outcome.INFEASIBLE
+        second = simplex.solve(most, _turned(first.basis), standing & feasible)
+        bounded = lambda program, found: jnp.where(
+            (found.outcome == Outcome.OPTIMAL) & jnp.any(found.basis.index == FREE, axis=0),
+            _value(program, jax.tree.map(jax.lax.stop_gradient, found.basis)),
+            -jnp.inf,
+        )
+        s_min, s_max = bounded(least, first), -bounded(most, second)
+        undecided = (self.outcome == Outcome.UNDECIDED) | (first.outcome == Outcome.UNDECIDED)
+        undecided |= standing & feasible & (second.outcome == Outcome.UNDECIDED)
+        return Survey(
+            s_min=s_min,
+            s_max=jnp.maximum(s_min, s_max),
+            standing=standing,
+            feasible=feasible,
+            pulled_back=feasible & (s_min > 0) & (lowest <= 0),
+            known=~undecided,
+        )
+
+    def boundary(self, limit: Float[Array, "*n"], rising: bool = False) -> Boundary:
+        """The lower boundary, as `Producer` has it."""
+        return _boundary(self, jax.lax.stop_gradient(limit).astype(self.target.dtype), rising)
+
+    def at_start(self) -> Program:
+        """The program of the smallest acceleration at alpha = 0, (25)."""
+        return Program(self.rays, -self.per_acceleration, self.target, self.scale)
+
+
+def ray_polygon(
+    rays: ConeRays, com: Float[Array, "3 *n"], along: Float[Array, "3 *n"], gravity: Float[Array, "3"]
+) -> RayPolygon:
+    """The polygon of a CoM that moves on the line com + alpha * along, Section III-A.
+
+    rays: with lanes last, or none. com: [m]. along: unit vectors, or zero. gravity: [m/s^2].
+    """
+    bounds = tolerances(com.dtype)
+    line = wrench_line(rays.origin, rays.length, com, along, gravity)
+    scaled = lambda wrench: jnp.concatenate([wrench[:3], wrench[3:] / line.length])
+    columns = jnp.moveaxis(jnp.asarray(rays.rays, com.dtype), (0, 1), (1, 0))
+    columns = jax.lax.optimization_barrier(scaled(columns))
+    scale, steepest = line.weight * line.reach, line.weight / line.length
+    # Different amounts of all rays: ties are broken, and the cone is closed in spite of rounding.
+    amounts = 0.5 + (0.618034 * jnp.arange(columns.shape[1], dtype=com.dtype)) % 1
+    inside = jnp.tensordot(amounts, columns, axes=(0, 1)) * (4 / columns.shape[1])
+    polygon = RayPolygon(
+        rays=columns,
+        per_acceleration=scaled(line.per_acceleration),
+        per_alpha=_without_noise(scaled(line.per_alpha), bounds.zero_coefficient * steepest),
+        target=bounds.slack * scale * inside - scaled(line.at_rest),
+        scale=scale,
+        steepest=steepest,
+        size=line.length * line.reach,
+        start=simplex.identity(com.shape[1:], com.dtype),
+        outcome=jnp.zeros(com.shape[1:], jnp.int32),
+    )
+    program = jax.lax.stop_gradient(polygon.at_start())
+    found = simplex.solve(program, simplex.freed(program, polygon.start), jnp.ones(com.shape[1:], bool))
+    return polygon._replace(start=simplex.improved(program, found.basis), outcome=found.outcome)
+
+
+def _without_noise(vector, noise):
+    return jnp.where(jnp.max(jnp.abs(vector), axis=0) > noise, vector, 0)
+
+
+def _turned(basis: Basis) -> Basis:
+    """The basis with the free variable's column turned round."""
+    return basis._replace(inverse=jnp.where((basis.index == FREE)[:, None], -basis.inverse, basis.inverse))
+
+
+def _value(program: Program, basis: Basis) -> Float[Array, "*n"]:
+    """The free variable where the basis meets the target."""
+    held = simplex.weights(basis.inverse, simplex.columns(program, basis.index), program.target)
+    return jnp.sum(jnp.where(basis.index == FREE, held, 0), axis=0)
+
+
+@functools.partial(jax.custom_jvp, nondiff_argnums=(2,))
+def _boundary(polygon: RayPolygon, limit: Float[Array, "*n"], rising: bool) -> Boundary:
+    return _search(polygon, limit, rising, lambda basis: ())[0]
+
+
+def _search(polygon: RayPolygon, limit, rising: bool, mark):
+    """The boundary, and the marks of its pieces' bases."""
+    program = polygon.at_start()
+    walked = limit > 0
+    found = simplex.solve(program, polygon.start, walked)
+    free = found.basis.index == FREE
+    floorless = walked & ((found.outcome == Outcome.UNBOUNDED) | ~jnp.any(free, axis=0))
+    lost = walked & ((found.outcome == Outcome.UNDECIDED) | (found.outcome == Outcome.INFEASIBLE))
+    wall = jax.lax.cond(jnp.any(floorless), _wall, lambda polygon, _: jnp.full_like(limit, jnp.inf), polygon, floorless)
+    follow = lambda alpha, line, basis: _follow(polygon, alpha, basis)
+    first = _line(polygon, found.basis)
+    boundary, marks = walk(follow, first, found.basis, floorless, wall, jnp.where(lost, 0, limit), rising, mark)
+    return boundary._replace(ending=jnp.where(lost, End.MAX_PIECES, boundary.ending).astype(jnp.int8)), marks
+
+
+def _line(polygon: RayPolygon, basis: Basis) -> Line:
+    """The free variable over alpha."""
+    normal = simplex.combination((basis.index == FREE).astype(polygon.target.dtype), basis.inverse)
+    along = lambda vector: jnp.sum(normal * vector, axis=0)
+    slope = along(polygon.per_alpha)
+    noise = tolerances(slope.dtype).zero_coefficient * jnp.max(jnp.abs(normal), axis=0) * polygon.steepest
+    return Line(along(polygon.target), jnp.where(jnp.abs(slope) > noise, slope, 0))
+
+
+def _wall(polygon: RayPolygon, floorless: Bool[Array, "*n"]) -> Float[Array, "*n"]:
+    """The largest alpha of a polygon without a floor: force along the line, either way, is a ray like the others."""
+    rays = jnp.concatenate([polygon.rays, polygon.per_acceleration[:, None]], axis=1)
+    program = Program(rays, polygon.per_alpha, polygon.target, polygon.scale)
+    start = simplex.identity(floorless.shape, polygon.target.dtype)
+    found = simplex.solve(program, simplex.freed(program, start), floorless)
+    bounded = (found.outcome == Outcome.OPTIMAL) & jnp.any(found.basis.index == FREE, axis=0)
+    return jnp.where(bounded, -_value(program, found.basis), jnp.inf)
+
+
+def _follow(polygon: RayPolygon, alpha, basis: Basis) -> Next:
+    """Where the first weight of the basis comes to zero, and the basis with the ray that takes over."""
+    end, leaving, grows = _end(polygon, basis)
+    bounds = tolerances(polygon.target.dtype)
+    row = simplex.combination(leaving.astype(end.dtype), basis.inverse) * jnp.where(grows, -1, 1)
+    normal = simplex.combination((basis.index == FREE).astype(end.dtype), basis.inverse)
+    entry = simplex.combination(-row, polygon.rays)
+    inside = jnp.maximum(simplex.combination(-normal, polygon.rays), 0)
+    entry, inside = jax.lax.optimization_barrier((entry, inside))
+    takes = entry > bounds.pivot * jnp.max(jnp.abs(row), axis=0)
+    near = bounds.reduced_cost * jnp.max(jnp.abs(normal), axis=0)
+    safe = jnp.where(takes, entry, 1)
+    reach = jnp.min(jnp.where(takes, (inside + near) / safe, jnp.inf), axis=0)
+    size = jax.lax.optimization_barrier(jnp.where(takes & (inside <= reach * safe), entry, 0))
+    largest = jnp.max(size, axis=0)
+    rays = jnp.arange(len(size), dtype=jnp.int32).reshape(-1, *[1] * largest.ndim)
+    entering = jnp.min(jnp.where(size >= largest, rays, len(size)), axis=0)
+    leaves = largest == 0
+    direction = simplex.times(basis.inverse, simplex.ray(polygon.rays, entering))
+    following = simplex.pivot(basis, leaving, entering, direction, ~leaves & (end < jnp.inf))
+    return Next(end, leaves, _line(polygon, following), following)
+
+
+def _end(polygon: RayPolygon, basis: Basis):
+    """Where the line of a basis ends, which column leaves there (one of six), and whether it does so as it grows."""
+    bounds = tolerances(polygon.target.dtype)
+    held, rate = simplex.times(basis.inverse, polygon.target), simplex.times(basis.inverse, polygon.per_alpha)
+    noise = jnp.max(jnp.abs(basis.inverse), axis=1) * jnp.max(jnp.abs(polygon.per_alpha), axis=0)
+    unit = basis.index <= UNIT
+    ends = (jnp.where(unit, jnp.abs(rate), -rate) > bounds.parallel * noise) & (basis.index != FREE)
+    left = jnp.where(unit, bounds.slack * polygon.scale - jnp.sign(rate) * held, held)
+    at = jnp.where(ends, jnp.maximum(left, 0) / jnp.where(ends, jnp.abs(rate), 1), jnp.inf)
+    end = jnp.min(at, axis=0)
+    _, leaving = simplex.largest(jnp.where(at <= end, jnp.abs(rate), -1))
+    return end, leaving, jnp.any(leaving & unit & (rate > 0), axis=0)
+
+
+@_boundary.defjvp
+def _boundary_jvp(rising, primals, tangents):
+    """The search for the bases is not differentiated; the lines that belong to them are."""
+    (polygon, limit), (change, _) = primals, tangents
+    found, indices = _search(polygon, limit, rising, lambda basis: basis.index)
+    final = jnp.isinf(found.pieces.right)
+
+    def of_piece(piece):
+        """Line of a basis and its end: values, then how they move."""
+        index, real = piece
+        basis = simplex.factorised(polygon.at_start(), jnp.where(real, index, UNIT))
+        _, leaving, _ = _end(polygon, basis)
+
+        def figures(polygon):
+            matrix = simplex.columns(polygon.at_start(), basis.index)
+            held = simplex.weights(basis.inverse, matrix, polygon.target)
+            rate = simplex.weights(basis.inverse, matrix, polygon.per_alpha)
+            free = lambda values: jnp.sum(jnp.where(basis.index == FREE, values, 0), axis=0)
+            out = lambda values: jnp.sum(jnp.where(leaving & (basis.index != FREE), values, 0), axis=0)
+            return Line(free(held), free(rate)), -ratio(out(held), out(rate))
+
+        return jax.jvp(figures, (polygon,), (change,))[1]
+
+    lines, walls = jax.lax.map(of_piece, (indices, found.pieces.right > found.pieces.left))
+    return found, moved(found, lines, jnp.sum(jnp.where(final, walls, 0), axis=0))

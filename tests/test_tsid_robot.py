@@ -1,0 +1,123 @@
+"""Robots by configuration: their rectangles lie where the meshes end, their limits are real, mistakes are named."""
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from reference.tsid.robot import CONFIGURATIONS, EFFECTORS, configuration, load
+
+ROBOTS = sorted(path.stem for path in CONFIGURATIONS.glob("*.toml"))
+
+
+@pytest.fixture(scope="module", params=ROBOTS)
+def robot(request):
+    return load(request.param)
+
+
+def vertices(robot, effector):
+    """Of the shapes fixed to the effector's joint, in the rectangle's frame."""
+    frame = robot.model.frames[effector.frame]
+    rectangle = frame.placement * effector.placement
+    found = []
+    for shape in robot.collisions.geometryObjects:
+        if shape.parentJoint == frame.parentJoint:
+            place = rectangle.inverse() * shape.placement
+            points = shape.geometry.vertices() if hasattr(shape.geometry, "vertices") else np.zeros((1, 3))
+            low = getattr(shape.geometry, "radius", 0.0)
+            found += [place.act(np.asarray(point)) - np.array([0, 0, low]) for point in points]
+    return np.array(found)
+
+
+def test_two_robots_ship():
+    assert {"talos", "g1"} <= set(ROBOTS)
+
+
+def test_talos_is_the_robot_of_the_campaign():
+    robot = load("talos")
+    assert (robot.model.nq, robot.model.nv) == (37, 36)
+    assert pin.computeTotalMass(robot.model) == pytest.approx(90.3, abs=0.05)
+    assert robot.torque.max() == 300 and robot.speed.min() == 1.0
+
+
+def test_limits_and_home(robot):
+    n = robot.model.nv - 6
+    for values in (robot.lower, robot.upper, robot.speed, robot.torque):
+        assert values.shape == (n,) and np.all(np.isfinite(values))
+    assert np.all(robot.torque > 0) and np.all(robot.speed > 0)
+    assert np.all(robot.lower <= robot.home[7:]) and np.all(robot.home[7:] <= robot.upper)
+    assert pin.isNormalized(robot.model, robot.home)
+    np.testing.assert_array_equal(robot.model.gravity.linear, [0, 0, -9.81])
+
+
+def test_nothing_collides_at_home_and_arms_may_hit_legs(robot):
+    data = robot.collisions.createData()
+    assert not pin.computeCollisions(robot.model, robot.model.createData(), robot.collisions, data, robot.home, False)
+    frames = [robot.model.frames[robot.effectors[name].frame].parentJoint for name in EFFECTORS]
+    joints = {
+        tuple(sorted(robot.collisions.geometryObjects[i].parentJoint for i in (pair.first, pair.second)))
+        for pair in robot.collisions.collisionPairs
+    }
+    assert tuple(sorted((frames[0], frames[1]))) in joints and tuple(sorted((frames[0], frames[2]))) in joints
+    for first, second in joints:
+        assert robot.model.parents[second] != first and first != second
+
+
+def test_effectors_are_rectangles_on_the_surface(robot):
+    """Right-handed frames, normals upwards at the soles, mirrored left to right; nothing of the feet sticks out below."""
+    assert tuple(robot.effectors) == EFFECTORS
+    data = robot.model.createData()
+    pin.framesForwardKinematics(robot.model, data, robot.home)
+    at = {name: data.oMf[effector.frame] * effector.placement for name, effector in robot.effectors.items()}
+    for name, effector in robot.effectors.items():
+        assert np.linalg.det(at[name].rotation) == pytest.approx(1.0)
+        assert 0.01 < effector.half_width <= effector.half_length < 0.15
+        if name.endswith("foot"):
+            assert at[name].rotation[2, 2] > 0.999
+            assert vertices(robot, effector)[:, 2].min() > -1e-3
+    for side in ("foot", "hand"):
+        left, right = at[f"left_{side}"], at[f"right_{side}"]
+        np.testing.assert_allclose(left.translation * [1, -1, 1], right.translation, atol=2e-3)
+        np.testing.assert_allclose(left.rotation[:, 2] * [1, -1, 1], right.rotation[:, 2], atol=5e-3)
+
+
+def test_talos_hands_touch_with_nothing_before_their_rectangle():
+    robot = load("talos")
+    for name in ("left_hand", "right_hand"):
+        points = vertices(robot, robot.effectors[name])
+        assert -1e-4 < points[:, 2].min() < 1e-3
+        tips = points[points[:, 2] < 1e-3]
+        assert np.abs(tips[:, :2]).max() > robot.effectors[name].half_width
+
+
+def test_a_file_of_ones_own(tmp_path):
+    text = configuration("talos").read_text()
+    mine = tmp_path / "mine.toml"
+    mine.write_text(text.replace("half_length = 0.105", "half_length = 0.09"))
+    robot = load(mine)
+    assert robot.name == "mine" and robot.effectors["left_foot"].half_length == 0.09
+
+
+@pytest.mark.parametrize(
+    "old, new, message",
+    [
+        ('home = "half_sitting"', 'home = "lying"', r"home = 'lying' \(expected one of: .*half_sitting"),
+        ('frame = "left_sole_link"', 'frame = "hoof"', "effectors.left_foot.frame = 'hoof' is no frame of talos"),
+        ("[effectors.left_foot]", "[effectors.nose]", "effectors.left_foot has nothing"),
+        ("half_width = 0.065", "half_width = -1.0", r"left_foot.half_width = -1.0 \(expected a positive length\)"),
+        ("along = [1.0, 0.0, 0.0]", "along = [0.0, 0.0, 2.0]", "left_foot.along = .* not parallel"),
+        ('"gripper_left_joint"', '"wing"', "locked: 'wing' is no joint of talos"),
+        ('packages = "."', 'pakages = "."', r"unknown keys \['pakages'\], missing keys \['packages'\]"),
+        ("talos_reduced.urdf", "talus.urdf", "urdf = .*talus.urdf' is neither in"),
+    ],
+)
+def test_mistakes_are_named(tmp_path, old, new, message):
+    text = configuration("talos").read_text()
+    assert old in text
+    (tmp_path / "mine.toml").write_text(text.replace(old, new))
+    with pytest.raises((ValueError, FileNotFoundError), match=message):
+        load(tmp_path / "mine.toml")
+
+
+def test_unknown_robots_are_named():
+    with pytest.raises(FileNotFoundError, match=r"robot 'atlas': no such file \(by name: g1, talos\)"):
+        load("atlas")
