@@ -7,8 +7,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Num
 
-from jaxcap.capturability import GRAVITY, capturability_of_lanes
-from jaxcap.cone import CentroidalCone
+from jaxcap.capturability import GRAVITY, capturability_of_lanes, survey_of_lanes
+from jaxcap.cone import CentroidalCone, ConeRays
 from jaxcap.contacts import FloatArray
 from jaxcap.result import Capturability
 
@@ -21,27 +21,40 @@ ROWS = 16
 
 
 def score(
-    cone: CentroidalCone, coms: Num[FloatArray, "n 3"], com_velocities: Num[FloatArray, "n 3"], gravity=GRAVITY
+    cone: CentroidalCone | ConeRays,
+    coms: Num[FloatArray, "n 3"],
+    com_velocities: Num[FloatArray, "n 3"],
+    gravity=GRAVITY,
+    neighbours: bool = False,
 ) -> Capturability:
     """`capturability` of many states.
 
-    cone: from `centroidal_cone`. coms: (n, 3) [m], com_velocities: (n, 3) [m/s], gravity: (3,) [m/s^2], all in the
-    contacts' frame, z up. The inputs' dtype decides the precision, as far as JAX's x64 switch allows. Every field of the
-    result has shape (n,). A state with NaN or infinity gets `Status.NONFINITE` and leaves the others alone; n may be 0.
+    cone: from `centroidal_cone` or `cone_rays`; rays may be those of one contact set, or have a leading axis of n: a
+    contact set for each state. coms: (n, 3) [m], com_velocities: (n, 3) [m/s], gravity: (3,) [m/s^2], all in the contacts'
+    frame, z up. neighbours: rows that follow each other are similar states, as along a trajectory or on a grid, and rays
+    start each from the one before (a warm start); the answers are the same but for rounding. The inputs' dtype decides the
+    precision, as far as JAX's x64 switch allows. Every field of the result has shape (n,). A state with NaN or infinity
+    gets `Status.NONFINITE` and leaves the others alone; n may be 0.
+
     Raises TypeError for wrong shapes.
     """
     coms, com_velocities = jnp.asarray(coms), jnp.asarray(com_velocities)
     for name, value in (("coms", coms), ("com_velocities", com_velocities)):
         if value.ndim != 2 or value.shape[1] != 3:
             raise TypeError(f"{name} has shape {value.shape} (expected (n, 3))")
-    if len(coms) != len(com_velocities):
-        raise TypeError(f"coms has {len(coms)} rows and com_velocities {len(com_velocities)} (expected as many)")
-    cone = cone.padded(-(-max(len(cone.faces), 1) // ROWS) * ROWS)
-    gravity = jnp.asarray(gravity, jnp.result_type(coms, jnp.float32))
-    if isinstance(coms, jax.core.Tracer) or isinstance(com_velocities, jax.core.Tracer):
-        return _score_block(cone, coms, com_velocities, gravity)
     n = len(coms)
-    run = lambda start: _compiled(cone, _block(coms, start), _block(com_velocities, start), gravity)
+    if n != len(com_velocities):
+        raise TypeError(f"coms has {n} rows and com_velocities {len(com_velocities)} (expected as many)")
+    own = isinstance(cone, ConeRays) and cone.rays.ndim == 3
+    if own and len(cone.rays) != n:
+        raise TypeError(f"cone has rays of {len(cone.rays)} contact sets (expected one, or one for each of {n} states)")
+    if isinstance(cone, CentroidalCone):
+        cone = cone.padded(-(-max(len(cone.faces), 1) // ROWS) * ROWS)
+    gravity = jnp.asarray(gravity, jnp.result_type(coms, jnp.float32))
+    per_state, common = ((coms, com_velocities, cone), None) if own else ((coms, com_velocities), cone)
+    if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves((coms, com_velocities, cone))):
+        return _score_block(common, per_state, gravity, neighbours)
+    run = lambda start: _compiled(common, _block(per_state, n, start), gravity, neighbours)
     first, *starts = range(0, max(n, 1), BLOCK)
     parts = [run(first), *_side_by_side(run, starts)]
     return jax.tree.map(lambda *fields: jnp.concatenate(fields)[:n], *parts)
@@ -62,23 +75,63 @@ def _side_by_side(run, starts):
         return list(threads.map(in_thread, starts))
 
 
-def _block(states, start):
-    """One block of states (m, 3), padded to the next of a few sizes, each of which is compiled once."""
-    block = states[start : start + BLOCK]
-    size = BLOCK if start else min(BLOCK, max(LANES, 1 << max(len(block) - 1, 0).bit_length()))
-    return jnp.pad(block, ((0, size - len(block)), (0, 0)))
+def _block(per_state, n: int, start: int):
+    """One block of n states, padded to the next of a few sizes, each of which is compiled once."""
+    rows = min(BLOCK, n - start)
+    size = BLOCK if start else min(BLOCK, max(LANES, 1 << max(rows - 1, 0).bit_length()))
+    return _padded(jax.tree.map(lambda leaf: leaf[start : start + BLOCK], per_state), size)
 
 
-def _score_block(cone, coms, com_velocities, gravity):
-    n = len(coms)
+def _padded(per_state, size: int):
+    """With rows of zeros, up to this number."""
+    return jax.tree.map(lambda x: jnp.pad(x, ((0, size - len(x)), *[(0, 0)] * (x.ndim - 1))), per_state)
+
+
+def _score_block(common, per_state, gravity, neighbours: bool):
+    """The answers for one block."""
+    if isinstance(common, CentroidalCone):
+        return _over_chunks(lambda states: capturability_of_lanes(common, *states, gravity), per_state)
+    surveys = _surveys(common, per_state, gravity, neighbours)
+    # A chunk takes as long as its slowest lane: states with the same kind of way ahead of them go together.
+    standing = surveys.standing & surveys.feasible
+    kind = 1 * surveys.feasible + standing + 2 * (standing & surveys.pulled_back) + 4 * (standing & surveys.near.hangs)
+    order = jnp.argsort(kind, stable=True)
+    one = lambda arguments: capturability_of_lanes(*_arguments(common, arguments[0]), gravity, arguments[1])
+    answers = _over_chunks(one, jax.tree.map(lambda x: x[order], (per_state, surveys)))
+    return jax.tree.map(lambda x: jnp.zeros_like(x).at[order].set(x), answers)
+
+
+def _surveys(common, per_state, gravity, neighbours: bool):
+    """All surveys of a block. Neighbours share a lane, and each begins where the one before has ended."""
+    one = lambda states, near=None: survey_of_lanes(*_arguments(common, states), gravity, near)
+    if not neighbours:
+        return _over_chunks(one, per_state)
+    n, steps = len(per_state[0]), -(-len(per_state[0]) // LANES)
+    to_steps = lambda x: jnp.moveaxis(x.reshape(LANES, steps, *x.shape[1:]), 0, -1)
+    states = jax.tree.map(to_steps, _padded(per_state, steps * LANES))
+
+    def step(near, states):
+        survey = one(states, near)
+        return survey.near, survey
+
+    first = one(jax.tree.map(lambda x: x[0], states))
+    surveys = jax.lax.scan(step, first.near, states)[1]
+    return jax.tree.map(lambda x: jnp.moveaxis(x, -1, 0).reshape(-1, *x.shape[1:-1])[:n], surveys)
+
+
+def _over_chunks(one, rows):
+    """`one` of all rows, a chunk at a time, a row a lane."""
+    n = len(jax.tree.leaves(rows)[0])
     chunks = -(-n // LANES)
-
-    def to_chunks(states):
-        return jnp.pad(states, ((0, chunks * LANES - n), (0, 0))).reshape(chunks, LANES, 3).swapaxes(1, 2)
-
-    one = lambda chunk: capturability_of_lanes(cone, *chunk, gravity)
-    answers = jax.lax.map(one, (to_chunks(coms), to_chunks(com_velocities)))
-    return jax.tree.map(lambda field: field.reshape(-1)[:n], answers)
+    to_chunks = lambda x: jnp.moveaxis(x.reshape(chunks, LANES, *x.shape[1:]), 1, -1)
+    answers = jax.lax.map(one, jax.tree.map(to_chunks, _padded(rows, chunks * LANES)))
+    return jax.tree.map(lambda x: jnp.moveaxis(x, -1, 1).reshape(chunks * LANES, *x.shape[1:-1])[:n], answers)
 
 
-_compiled = jax.jit(_score_block)
+def _arguments(common, states):
+    """Cone, CoM and velocity of a chunk; the cone is common, or every state's own."""
+    com, com_velocity, *own = states
+    return (*own, com, com_velocity) if own else (common, com, com_velocity)
+
+
+_compiled = jax.jit(_score_block, static_argnames="neighbours")

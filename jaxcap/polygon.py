@@ -75,11 +75,12 @@ class Polygon(NamedTuple):
 
 
 def polygon(
-    cone: CentroidalCone, com: Float[Array, "3 *n"], along: Float[Array, "3 *n"], gravity: Float[Array, "3"]
+    cone: CentroidalCone, com: Float[Array, "3 *n"], along: Float[Array, "3 *n"], gravity: Float[Array, "3"], near=None
 ) -> Polygon:
     """The polygon of a CoM that moves on the line com + alpha * along, Section III-A.
 
-    com: [m]. along: unit vectors (zero: every row bounds nothing, or forbids everything). gravity: [m/s^2].
+    com: [m]. along: unit vectors (zero: every row bounds nothing, or forbids everything). gravity: [m/s^2]. near:
+    not used, a survey of faces is as fast from anywhere.
     """
     bounds = tolerances(com.dtype)
     faces = jnp.asarray(cone.padded(1).faces, com.dtype)   # a cone that is all of space has no face

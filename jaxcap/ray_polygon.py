@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from jaxcap import simplex
 from jaxcap.boundary import Boundary, End
@@ -20,6 +20,19 @@ from jaxcap.walk import Line, Next, Survey, moved, walk
 from jaxcap.wrench_line import wrench_line
 
 
+class Bases(NamedTuple):
+    """The columns of three optimal bases (see `Basis.index`)."""
+
+    start: Int[Array, "6 *n"]
+    """Of the smallest acceleration at alpha = 0."""
+    least: Int[Array, "6 *n"]
+    """Of s_min."""
+    most: Int[Array, "6 *n"]
+    """Of s_max."""
+    hangs: Bool[Array, "*n"]
+    """The force that ends the static region ahead bounds the acceleration from above: the polygon goes on beyond."""
+
+
 class RayPolygon(NamedTuple):
     """All (alpha, acceleration) whose wrench is a sum of rays with weights >= 0.
 
@@ -27,7 +40,7 @@ class RayPolygon(NamedTuple):
     force over torque divided by the size of the stance, per unit mass.
     """
 
-    rays: Float[Array, "6 r *n"]
+    rays: Float[Array, "6 r *#n"]
     per_acceleration: Float[Array, "6 *n"]
     per_alpha: Float[Array, "6 *n"]
     target: Float[Array, "6 *n"]
@@ -40,8 +53,10 @@ class RayPolygon(NamedTuple):
     """Scale of alpha [m]: size of the stance plus the CoM's distance from it."""
     start: Basis
     """Of the smallest acceleration at alpha = 0, or of a place nearby."""
-    outcome: Float[Array, "*n"]
+    outcome: Int[Array, "*n"]
     """Of that program."""
+    near: Bases | None
+    """Of a similar state, if one is known."""
 
     def flipped(self) -> "RayPolygon":
         """With the acceleration's sign turned: its lower boundary is minus the upper boundary of this one."""
@@ -63,10 +78,11 @@ class RayPolygon(NamedTuple):
         feasible = self.outcome != Outcome.INFEASIBLE
         lowest = jnp.where(self.outcome == Outcome.OPTIMAL, _value(self.at_start(), self.start), -jnp.inf)
         least, most = (Program(self.rays, sign * self.per_alpha, self.target, self.scale) for sign in (-1, 1))
-        everywhere = jnp.ones_like(feasible)
-        first = simplex.solve(least, simplex.freed(least, self.start), everywhere)
+        begin = self.start if self.near is None else simplex.factorised(least, self.near.least)
+        first = simplex.solve(least, simplex.freed(least, begin), jnp.ones_like(feasible))
         standing = first.outcome != Outcome.INFEASIBLE
-        second = simplex.solve(most, _turned(first.basis), standing & feasible)
+        begin = _turned(first.basis) if self.near is None else simplex.factorised(most, self.near.most)
+        second = simplex.solve(most, simplex.freed(most, begin), standing & feasible)
         bounded = lambda program, found: jnp.where(
             (found.outcome == Outcome.OPTIMAL) & jnp.any(found.basis.index == FREE, axis=0),
             _value(program, jax.tree.map(jax.lax.stop_gradient, found.basis)),
@@ -75,6 +91,8 @@ class RayPolygon(NamedTuple):
         s_min, s_max = bounded(least, first), -bounded(most, second)
         undecided = (self.outcome == Outcome.UNDECIDED) | (first.outcome == Outcome.UNDECIDED)
         undecided |= standing & feasible & (second.outcome == Outcome.UNDECIDED)
+        face = _normal(second.basis)
+        hangs = standing & feasible & (jnp.sum(face * self.per_acceleration, axis=0) > 0)
         return Survey(
             s_min=s_min,
             s_max=jnp.maximum(s_min, s_max),
@@ -82,6 +100,7 @@ class RayPolygon(NamedTuple):
             feasible=feasible,
             pulled_back=feasible & (s_min > 0) & (lowest <= 0),
             known=~undecided,
+            near=Bases(self.start.index, first.basis.index, second.basis.index, hangs),
         )
 
     def boundary(self, limit: Float[Array, "*n"], rising: bool = False) -> Boundary:
@@ -94,16 +113,18 @@ class RayPolygon(NamedTuple):
 
 
 def ray_polygon(
-    rays: ConeRays, com: Float[Array, "3 *n"], along: Float[Array, "3 *n"], gravity: Float[Array, "3"]
+    rays: ConeRays, com: Float[Array, "3 *n"], along: Float[Array, "3 *n"], gravity: Float[Array, "3"], near=None
 ) -> RayPolygon:
     """The polygon of a CoM that moves on the line com + alpha * along, Section III-A.
 
-    rays: with lanes last, or none. com: [m]. along: unit vectors, or zero. gravity: [m/s^2].
+    rays: with lanes last, or none. com: [m]. along: unit vectors, or zero. gravity: [m/s^2]. near: bases
+    of a similar state, `Survey.near`.
     """
     bounds = tolerances(com.dtype)
     line = wrench_line(rays.origin, rays.length, com, along, gravity)
     scaled = lambda wrench: jnp.concatenate([wrench[:3], wrench[3:] / line.length])
-    columns = jnp.moveaxis(jnp.asarray(rays.rays, com.dtype), (0, 1), (1, 0))
+    columns = jnp.swapaxes(jnp.asarray(rays.rays, com.dtype), 0, 1)
+    columns = columns.reshape(*columns.shape, *[1] * (com.ndim + 1 - columns.ndim))   # one set for all lanes
     columns = jax.lax.optimization_barrier(scaled(columns))
     scale, steepest = line.weight * line.reach, line.weight / line.length
     # Different amounts of all rays: ties are broken, and the cone is closed in spite of rounding.
@@ -119,9 +140,11 @@ def ray_polygon(
         size=line.length * line.reach,
         start=simplex.identity(com.shape[1:], com.dtype),
         outcome=jnp.zeros(com.shape[1:], jnp.int32),
+        near=near,
     )
     program = jax.lax.stop_gradient(polygon.at_start())
-    found = simplex.solve(program, simplex.freed(program, polygon.start), jnp.ones(com.shape[1:], bool))
+    begin = polygon.start if near is None else simplex.factorised(program, near.start)
+    found = simplex.solve(program, simplex.freed(program, begin), jnp.ones(com.shape[1:], bool))
     return polygon._replace(start=simplex.improved(program, found.basis), outcome=found.outcome)
 
 
@@ -132,6 +155,11 @@ def _without_noise(vector, noise):
 def _turned(basis: Basis) -> Basis:
     """The basis with the free variable's column turned round."""
     return basis._replace(inverse=jnp.where((basis.index == FREE)[:, None], -basis.inverse, basis.inverse))
+
+
+def _normal(basis: Basis) -> Float[Array, "6 *n"]:
+    """Of the face through the basis, pointing outwards, scaled such that its product with the free column is 1."""
+    return simplex.combination((basis.index == FREE).astype(basis.inverse.dtype), basis.inverse)
 
 
 def _value(program: Program, basis: Basis) -> Float[Array, "*n"]:
@@ -162,7 +190,7 @@ def _search(polygon: RayPolygon, limit, rising: bool, mark):
 
 def _line(polygon: RayPolygon, basis: Basis) -> Line:
     """The free variable over alpha."""
-    normal = simplex.combination((basis.index == FREE).astype(polygon.target.dtype), basis.inverse)
+    normal = _normal(basis)
     along = lambda vector: jnp.sum(normal * vector, axis=0)
     slope = along(polygon.per_alpha)
     noise = tolerances(slope.dtype).zero_coefficient * jnp.max(jnp.abs(normal), axis=0) * polygon.steepest
@@ -171,7 +199,9 @@ def _line(polygon: RayPolygon, basis: Basis) -> Line:
 
 def _wall(polygon: RayPolygon, floorless: Bool[Array, "*n"]) -> Float[Array, "*n"]:
     """The largest alpha of a polygon without a floor: force along the line, either way, is a ray like the others."""
-    rays = jnp.concatenate([polygon.rays, polygon.per_acceleration[:, None]], axis=1)
+    along = polygon.per_acceleration[:, None]
+    shared = jnp.broadcast_to(polygon.rays, (*polygon.rays.shape[:2], *along.shape[2:]))
+    rays = jnp.concatenate([shared, along], axis=1)
     program = Program(rays, polygon.per_alpha, polygon.target, polygon.scale)
     start = simplex.identity(floorless.shape, polygon.target.dtype)
     found = simplex.solve(program, simplex.freed(program, start), floorless)
@@ -184,7 +214,7 @@ def _follow(polygon: RayPolygon, alpha, basis: Basis) -> Next:
     end, leaving, grows = _end(polygon, basis)
     bounds = tolerances(polygon.target.dtype)
     row = simplex.combination(leaving.astype(end.dtype), basis.inverse) * jnp.where(grows, -1, 1)
-    normal = simplex.combination((basis.index == FREE).astype(end.dtype), basis.inverse)
+    normal = _normal(basis)
     entry = simplex.combination(-row, polygon.rays)
     inside = jnp.maximum(simplex.combination(-normal, polygon.rays), 0)
     entry, inside = jax.lax.optimization_barrier((entry, inside))
@@ -192,11 +222,9 @@ def _follow(polygon: RayPolygon, alpha, basis: Basis) -> Next:
     near = bounds.reduced_cost * jnp.max(jnp.abs(normal), axis=0)
     safe = jnp.where(takes, entry, 1)
     reach = jnp.min(jnp.where(takes, (inside + near) / safe, jnp.inf), axis=0)
-    size = jax.lax.optimization_barrier(jnp.where(takes & (inside <= reach * safe), entry, 0))
-    largest = jnp.max(size, axis=0)
-    rays = jnp.arange(len(size), dtype=jnp.int32).reshape(-1, *[1] * largest.ndim)
-    entering = jnp.min(jnp.where(size >= largest, rays, len(size)), axis=0)
-    leaves = largest == 0
+    ranks = jax.lax.optimization_barrier(simplex.ranked(jnp.where(takes & (inside <= reach * safe), entry, 0)))
+    size, entering = simplex.unranked(jnp.max(ranks, axis=0), len(ranks))
+    leaves = size == 0
     direction = simplex.times(basis.inverse, simplex.ray(polygon.rays, entering))
     following = simplex.pivot(basis, leaving, entering, direction, ~leaves & (end < jnp.inf))
     return Next(end, leaves, _line(polygon, following), following)
@@ -212,7 +240,7 @@ def _end(polygon: RayPolygon, basis: Basis):
     left = jnp.where(unit, bounds.slack * polygon.scale - jnp.sign(rate) * held, held)
     at = jnp.where(ends, jnp.maximum(left, 0) / jnp.where(ends, jnp.abs(rate), 1), jnp.inf)
     end = jnp.min(at, axis=0)
-    _, leaving = simplex.largest(jnp.where(at <= end, jnp.abs(rate), -1))
+    _, leaving = simplex.largest(jnp.where(at <= end, jnp.abs(rate), 0))
     return end, leaving, jnp.any(leaving & unit & (rate > 0), axis=0)
 
 

@@ -27,7 +27,7 @@ UNIT = -2
 MAX_PIVOTS = 100
 """Most pivots of one program."""
 BLAND = 40
-"""From here on, Bland's rule: of all rays that improve, and of all columns that may leave, the first. It cannot cycle."""
+"""From here on, Bland's rule: of all rays that improve, and of all columns that may leave, the last. It cannot cycle."""
 
 
 class Outcome(IntEnum):
@@ -43,7 +43,7 @@ class Outcome(IntEnum):
 class Program(NamedTuple):
     """What is to be solved. All in one scale: unit forces, torques over the size of the stance."""
 
-    rays: Float[Array, "6 r *n"]
+    rays: Float[Array, "6 r *#n"]
     """Columns; zeros are padding."""
     free: Float[Array, "6 *n"]
     """The free variable's column; zero where there is none."""
@@ -80,12 +80,12 @@ def times(matrix: Float[Array, "6 6 *n"], vector: Float[Array, "6 *n"]) -> Float
     return sum(matrix[:, i] * vector[i] for i in range(6))
 
 
-def combination(vector: Float[Array, "6 *n"], rows: Float[Array, "6 k *n"]) -> Float[Array, "k *n"]:
+def combination(vector: Float[Array, "6 *n"], rows: Float[Array, "6 k *#n"]) -> Float[Array, "k *n"]:
     """Sum of rows with these factors: a row of the simplex tableau, of all rays or of a basis."""
     return sum(rows[i] * vector[i] for i in range(6))
 
 
-def ray(rays: Float[Array, "6 r *n"], index: Int[Array, "*n"]) -> Float[Array, "6 *n"]:
+def ray(rays: Float[Array, "6 r *#n"], index: Int[Array, "*n"]) -> Float[Array, "6 *n"]:
     """One column for each lane."""
     return jnp.take_along_axis(rays, jnp.clip(index, 0, rays.shape[1] - 1)[None, None], axis=1)[:, 0]
 
@@ -123,11 +123,34 @@ def pivot(basis: Basis, leaving: Bool[Array, "6 *n"], entering: Int[Array, "*n"]
     return Basis(jnp.where(leaving & go, entering, basis.index).astype(jnp.int32), inverse)
 
 
+def ranked(values: Float[Array, "k *n"]) -> Float[Array, "k *n"]:
+    """Values >= 0, their number along the first axis in their last bits: those that are positive are all different, and
+    one maximum tells how large and where (XLA's argmax is slow on a CPU).
+    """
+    bits, last = _bits(values), _last_bits(len(values))
+    places = jnp.arange(len(values), dtype=bits.dtype).reshape(-1, *[1] * (values.ndim - 1))
+    return jax.lax.bitcast_convert_type((bits & ~last) | places, values.dtype)
+
+
+def unranked(rank: Float[Array, "*n"], count: int) -> tuple[Float[Array, "*n"], Int[Array, "*n"]]:
+    """The value (but for its last bits) and the place that `ranked` made this of, among so many."""
+    bits, last = _bits(rank), _last_bits(count)
+    return jax.lax.bitcast_convert_type(bits & ~last, rank.dtype), (bits & last).astype(jnp.int32)
+
+
+def _bits(values):
+    return jax.lax.bitcast_convert_type(values, jnp.int64 if values.dtype == jnp.float64 else jnp.int32)
+
+
+def _last_bits(count: int) -> int:
+    return (1 << (count - 1).bit_length()) - 1
+
+
 def largest(values: Float[Array, "6 *n"]) -> tuple[Float[Array, "*n"], Bool[Array, "6 *n"]]:
-    """The largest of six, and its place: the first of several."""
-    top = jnp.max(values, axis=0)
-    place = jnp.argmax(values, axis=0)
-    return top, place == jnp.arange(6).reshape(6, *[1] * place.ndim)
+    """The largest of six values >= 0, and its place."""
+    ranks = ranked(values)
+    top = jnp.max(ranks, axis=0)
+    return unranked(top, 6)[0], ranks == top
 
 
 def freed(program: Program, basis: Basis) -> Basis:
@@ -135,15 +158,16 @@ def freed(program: Program, basis: Basis) -> Basis:
     bound = tolerances(program.target.dtype).pivot
     stale = basis.index == FREE
     row = combination(stale.astype(program.target.dtype), basis.inverse)
-    size, unit = largest(jnp.abs(row))
+    size, axis = unranked(jnp.max(ranked(jnp.abs(row)), axis=0), 6)
+    unit = axis == jnp.arange(6).reshape(6, *[1] * axis.ndim)
     out = jnp.any(stale, axis=0)
-    axis = jnp.argmax(unit, axis=0).astype(jnp.int32)
     unit_direction = jnp.sum(jnp.where(unit[None], basis.inverse, 0), axis=1)
     basis = pivot(basis, stale, UNIT - axis, unit_direction, out & (size > 0))
     direction = times(basis.inverse, program.free)
     # A unit column is as good as lost; among the others, the largest pivot.
     size, leaving = largest(jnp.where(basis.index <= UNIT, 8, 1) * jnp.abs(direction))
-    return pivot(basis, leaving, jnp.int32(FREE), direction, size > bound * jnp.max(jnp.abs(program.free), axis=0))
+    found = size > bound * jnp.max(jnp.abs(program.free), axis=0)
+    return pivot(basis, leaving, jnp.full(size.shape, FREE, jnp.int32), direction, found)
 
 
 def factorised(program: Program, index: Int[Array, "6 *n"]) -> Basis:
@@ -204,12 +228,12 @@ def _step(program: Program, state: SimplexState) -> SimplexState:
     normal = combination(jnp.where(seeking, missing, is_free).astype(held.dtype), basis.inverse)
 
     # The ray that lies farthest outside the face through the basis.
-    gain = jax.lax.optimization_barrier(combination(normal, program.rays))
+    gain = combination(normal, program.rays)
     enough = bounds.reduced_cost * jnp.max(jnp.abs(normal), axis=0)
-    best = jnp.max(gain, axis=0)
-    rays = jnp.arange(len(gain), dtype=jnp.int32).reshape(-1, *[1] * best.ndim)
-    entering = jnp.min(jnp.where(gain >= jnp.where(late, enough, best), rays, len(gain)), axis=0)
-    improves = running & (best > enough)
+    gain = jnp.where(gain > enough, jnp.where(late, 1, gain), 0)
+    ranks = jax.lax.optimization_barrier(ranked(gain))
+    best, entering = unranked(jnp.max(ranks, axis=0), len(ranks))
+    improves = running & (best > 0)
 
     # The column that has to leave: of those that come to zero first, as far as rounding can tell, the largest pivot.
     direction = times(basis.inverse, ray(program.rays, entering))
@@ -218,7 +242,7 @@ def _step(program: Program, state: SimplexState) -> SimplexState:
     falls &= size > bounds.pivot
     left = jnp.where(missing != 0, jnp.abs(held), jnp.where(is_unit, 0, jnp.maximum(held, 0)))
     reach = jnp.min(jnp.where(falls, (left + zero) / jnp.where(falls, size, 1), jnp.inf), axis=0)
-    preferred = jnp.where(late, 1 / (2.0 + jnp.abs(basis.index)).astype(size.dtype), size)
+    preferred = jnp.where(late, 10 + basis.index, size)
     element, leaving = largest(jnp.where(falls & (left <= reach * size), preferred, 0))
 
     go = improves & (element > 0)

@@ -30,6 +30,8 @@ class Survey(NamedTuple):
     """... and each that does is negative."""
     known: Bool[Array, "*n"]
     """False where the survey failed."""
+    near: Any = ()
+    """From where the survey of a similar state may start."""
 
 
 @runtime_checkable

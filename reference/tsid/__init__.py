@@ -1,0 +1,1 @@
+"""The whole-body truth: a robot under an inverse-dynamics controller, pushed and simulated (V-A to V-E, Appendix D)."""

@@ -1,0 +1,136 @@
+"""Rows as a Parquet file: the same rows and settings give the same bytes, and a file appears whole or not at all.
+
+Columns: scenario, robot, seed, index; q, v (float32: what was simulated, see `sampling`); contacts (a list of rectangles,
+rotation row by row); com [m], com_velocity [m/s], angular_momentum [kg m^2/s]; outcome (the best of the controllers); error
+(null but for a failed sample); then for each controller its outcome, reason, time [s], steps, com_end [m], and the solver's
+counters. Columns of a controller that did not run are null.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from reference.tsid.labels import Row, Settings
+
+KEY = b"tsid"
+"""Under which the file's metadata hold, as JSON, `settings` and `versions` (of the libraries that made the rows)."""
+
+WORD = pa.dictionary(pa.int32(), pa.string())
+
+CONTACT = pa.struct(
+    {
+        "effector": pa.string(),
+        "position": pa.list_(pa.float64(), 3),
+        "rotation": pa.list_(pa.float64(), 9),
+        "half_length": pa.float64(),
+        "half_width": pa.float64(),
+        "friction": pa.float64(),
+    }
+)
+
+VECTOR = pa.list_(pa.float64(), 3)
+
+RUN = {"outcome": WORD, "reason": WORD, "time": pa.float64(), "steps": pa.int32(), "com_end": pa.list_(pa.float32(), 3)}
+"""Columns of a controller, before its counters."""
+
+CONSTANT = ("scenario", "robot", "seed")
+"""Columns that the settings hold."""
+
+NOISY = ("q", "v", "position", "rotation", "com", "com_velocity", "angular_momentum", "com_end")
+"""Vectors of floats without repetition, which shrink by splitting their bytes into streams."""
+
+
+class Unreadable(Exception):
+    """A file that is no campaign's."""
+
+
+def schema(settings: Settings, rows: list[Row], nq: int, nv: int) -> pa.Schema:
+    """Of the columns above; the counters are those that occur in `rows`, in the order of their names."""
+    fields: dict[str, pa.DataType] = {"scenario": WORD, "robot": WORD, "seed": pa.int64(), "index": pa.int64()}
+    fields |= {"q": pa.list_(pa.float32(), nq), "v": pa.list_(pa.float32(), nv), "contacts": pa.list_(CONTACT)}
+    fields |= {"com": VECTOR, "com_velocity": VECTOR, "angular_momentum": VECTOR}
+    fields |= ({} if settings.every else {"outcome": WORD}) | {"error": pa.string()}
+    for controller in settings.controllers:
+        fields |= {f"{controller}_{name}": kind for name, kind in RUN.items()}
+        fields |= dict.fromkeys(_counters(settings, rows, controller), pa.int32())
+    return pa.schema(list(fields.items()))
+
+
+def _counters(settings: Settings, rows: list[Row], controller: str) -> list[str]:
+    """Columns of what a controller's solver counted; another controller's name may begin with this one's."""
+    others = tuple(f"{name}_" for name in settings.controllers if len(name) > len(controller))
+    known = {f"{controller}_{name}" for name in RUN}
+    present = {name for row in rows for name in row if name.startswith(f"{controller}_") and not name.startswith(others)}
+    return sorted(present - known)
+
+
+def _filled(settings: Settings, rows: list[Row]) -> list[Row]:
+    """The rows with what the settings hold, and with 0 for what a controller that ran did not count."""
+    constant = {name: getattr(settings, name) for name in CONSTANT}
+    zeros = {name: dict.fromkeys(_counters(settings, rows, name), 0) for name in settings.controllers}
+    filled = []
+    for row in rows:
+        ran = [zero for name, zero in zeros.items() if f"{name}_outcome" in row]
+        filled.append(constant | {key: value for zero in ran for key, value in zero.items()} | row)
+    return filled
+
+
+def write(path: Path, settings: Settings, versions: list[dict[str, str]], rows: list[Row], nq: int, nv: int) -> None:
+    """Write the rows, in the order given, under a temporary name and then as `path`, replacing what was there."""
+    layout = schema(settings, rows, nq, nv)
+    table = pa.Table.from_pylist(_filled(settings, rows), schema=layout)
+    metadata = {"settings": settings._asdict(), "versions": versions}
+    table = table.replace_schema_metadata({KEY: json.dumps(metadata, sort_keys=True)})
+    leaves = _leaves(layout)
+    noisy = [leaf for leaf in leaves if any(part in NOISY or part.endswith("_com_end") for part in leaf.split("."))]
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        with open(temporary, "wb") as file:
+            pq.write_table(
+                table,
+                file,
+                compression="zstd",
+                compression_level=12,
+                use_dictionary=[leaf for leaf in leaves if leaf not in noisy],
+                use_byte_stream_split=noisy,
+                row_group_size=1 << 16,
+                write_statistics=False,
+            )
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def _leaves(layout: pa.Schema) -> list[str]:
+    """Paths of the Parquet columns that a schema's fields become."""
+
+    def below(kind: pa.DataType) -> list[str]:
+        if pa.types.is_struct(kind):
+            return [f".{field.name}{rest}" for field in kind for rest in below(field.type)]
+        if pa.types.is_list(kind) or pa.types.is_fixed_size_list(kind):
+            return [f".list.element{rest}" for rest in below(kind.value_type)]
+        return [""]
+
+    return [f"{field.name}{rest}" for field in layout for rest in below(field.type)]
+
+
+def read(path: Path) -> tuple[dict[str, Any], list[dict[str, str]], list[Row]]:
+    """Settings, versions and rows of a file that `write` wrote. Raises `Unreadable` naming it if it is another."""
+    try:
+        table = pq.read_table(path)
+        metadata = json.loads(table.schema.metadata[KEY])
+        rows = [
+            {name: value for name, value in row.items() if value is not None and name not in CONSTANT}
+            for row in table.to_pylist()
+        ]
+    except (pa.ArrowException, KeyError, TypeError, ValueError) as error:
+        raise Unreadable(f"{path}: not the file of a campaign ({error})") from error
+    return metadata["settings"], metadata["versions"], rows
