@@ -81,7 +81,7 @@ def capturability_of_lanes(
     cone: CentroidalCone | ConeRays, com: Num[Array, "3 *n"], com_velocity: Num[Array, "3 *n"], gravity, survey=None
 ):
     """`capturability` of states side by side, lanes last. survey: from `survey_of_lanes`, if it is known."""
-    polygon, speed, finite = _polygon(cone, com, com_velocity, gravity, None if survey is None else survey.near)
+    polygon, speed, finite = _polygon(cone, com, com_velocity, gravity)
     return _answer(_line(polygon, polygon.survey() if survey is None else survey), speed, finite)
 
 
@@ -90,20 +90,21 @@ def survey_of_lanes(
     cone: CentroidalCone | ConeRays, com: Num[Array, "3 *n"], com_velocity: Num[Array, "3 *n"], gravity, near=None
 ) -> Survey:
     """The first part of `capturability_of_lanes`, which every state needs. near: `Survey.near` of similar states."""
-    return _polygon(cone, com, com_velocity, gravity, near)[0].survey()
+    return _polygon(cone, com, com_velocity, gravity)[0].survey(near)
 
 
-def _polygon(cone, com, com_velocity, gravity, near):
+def _polygon(cone, com, com_velocity, gravity):
     """Polygon, speed, and whether the state is finite."""
     dtype = jnp.promote_types(jnp.result_type(com, com_velocity), jnp.float32)
     com, com_velocity = com.astype(dtype), com_velocity.astype(dtype)
     finite = jnp.all(jnp.isfinite(com) & jnp.isfinite(com_velocity), axis=0)
     along, speed = direction(jnp.where(finite, com_velocity, 0))
     cut = ray_polygon if isinstance(cone, ConeRays) else polygon
-    return cut(cone, jnp.where(finite, com, 0), along, jnp.asarray(gravity, dtype), near), speed, finite
+    return cut(cone, jnp.where(finite, com, 0), along, jnp.asarray(gravity, dtype)), speed, finite
 
 
 def _line(polygon: Producer, survey: Survey) -> Line:
+    polygon = polygon.knowing(survey)
     standing = survey.standing & survey.feasible
     lower = polygon.boundary(jnp.where(survey.feasible, jnp.inf, 0))
     ahead = standing & (survey.s_min > 0) & survey.pulled_back

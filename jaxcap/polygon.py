@@ -49,8 +49,12 @@ class Polygon(NamedTuple):
             )
         )
 
-    def survey(self) -> Survey:
-        """Static region, and polygon at alpha = 0."""
+    def knowing(self, survey: Survey) -> "Polygon":
+        """The same: faces need no help."""
+        return self
+
+    def survey(self, near=None) -> Survey:
+        """Static region, and polygon at alpha = 0. near: not used, faces are surveyed as fast from anywhere."""
         on_acceleration, on_alpha, bound = self[:3]
         static, values = ratio(bound, on_alpha), ratio(bound, on_acceleration)
         s_min = jnp.max(jnp.where(on_alpha < 0, static, -jnp.inf), axis=0)
@@ -75,12 +79,11 @@ class Polygon(NamedTuple):
 
 
 def polygon(
-    cone: CentroidalCone, com: Float[Array, "3 *n"], along: Float[Array, "3 *n"], gravity: Float[Array, "3"], near=None
+    cone: CentroidalCone, com: Float[Array, "3 *n"], along: Float[Array, "3 *n"], gravity: Float[Array, "3"]
 ) -> Polygon:
     """The polygon of a CoM that moves on the line com + alpha * along, Section III-A.
 
-    com: [m]. along: unit vectors (zero: every row bounds nothing, or forbids everything). gravity: [m/s^2]. near:
-    not used, a survey of faces is as fast from anywhere.
+    com: [m]. along: unit vectors (zero: every row bounds nothing, or forbids everything). gravity: [m/s^2].
     """
     bounds = tolerances(com.dtype)
     faces = jnp.asarray(cone.padded(1).faces, com.dtype)   # a cone that is all of space has no face

@@ -51,12 +51,12 @@ class RayPolygon(NamedTuple):
     """The largest that a coefficient of alpha can be [1/s^2]."""
     size: Float[Array, "*n"]
     """Scale of alpha [m]: size of the stance plus the CoM's distance from it."""
-    start: Basis
+    start: Basis | None = None
     """Of the smallest acceleration at alpha = 0, or of a place nearby."""
-    outcome: Int[Array, "*n"]
-    """Of that program."""
-    near: Bases | None
-    """Of a similar state, if one is known."""
+
+    def knowing(self, survey: Survey) -> "RayPolygon":
+        """The same, with a basis to start from."""
+        return self._replace(start=survey.start)
 
     def flipped(self) -> "RayPolygon":
         """With the acceleration's sign turned: its lower boundary is minus the upper boundary of this one."""
@@ -73,23 +73,31 @@ class RayPolygon(NamedTuple):
             start=Basis(self.start.index, inverse),
         )
 
-    def survey(self) -> Survey:
-        """Static region, and polygon at alpha = 0."""
-        feasible = self.outcome != Outcome.INFEASIBLE
-        lowest = jnp.where(self.outcome == Outcome.OPTIMAL, _value(self.at_start(), self.start), -jnp.inf)
-        least, most = (Program(self.rays, sign * self.per_alpha, self.target, self.scale) for sign in (-1, 1))
-        begin = self.start if self.near is None else simplex.factorised(least, self.near.least)
-        first = simplex.solve(least, simplex.freed(least, begin), jnp.ones_like(feasible))
+    def survey(self, near: "Bases | None" = None) -> Survey:
+        """Static region, and polygon at alpha = 0. near: bases of a similar state."""
+        fixed = jax.tree.map(jax.lax.stop_gradient, self)
+        lowest, least, most = fixed.at_start(), fixed.at_rest(-1), fixed.at_rest(1)
+        everywhere = jnp.ones(self.scale.shape, bool)
+        begin = lambda program, index: simplex.freed(program, simplex.factorised(program, index))
+        unit = simplex.identity(self.scale.shape, self.scale.dtype)
+        start = simplex.solve(
+            lowest, simplex.freed(lowest, unit) if near is None else begin(lowest, near.start), everywhere
+        )
+        feasible = start.outcome != Outcome.INFEASIBLE
+        first = simplex.solve(
+            least, simplex.freed(least, start.basis) if near is None else begin(least, near.least), everywhere
+        )
         standing = first.outcome != Outcome.INFEASIBLE
-        begin = _turned(first.basis) if self.near is None else simplex.factorised(most, self.near.most)
-        second = simplex.solve(most, simplex.freed(most, begin), standing & feasible)
+        second = simplex.solve(
+            most, _turned(first.basis) if near is None else begin(most, near.most), standing & feasible
+        )
         bounded = lambda program, found: jnp.where(
             (found.outcome == Outcome.OPTIMAL) & jnp.any(found.basis.index == FREE, axis=0),
-            _value(program, jax.tree.map(jax.lax.stop_gradient, found.basis)),
+            _value(program, found.basis),
             -jnp.inf,
         )
-        s_min, s_max = bounded(least, first), -bounded(most, second)
-        undecided = (self.outcome == Outcome.UNDECIDED) | (first.outcome == Outcome.UNDECIDED)
+        s_min, s_max = bounded(self.at_rest(-1), first), -bounded(self.at_rest(1), second)
+        undecided = (start.outcome == Outcome.UNDECIDED) | (first.outcome == Outcome.UNDECIDED)
         undecided |= standing & feasible & (second.outcome == Outcome.UNDECIDED)
         face = _normal(second.basis)
         hangs = standing & feasible & (jnp.sum(face * self.per_acceleration, axis=0) > 0)
@@ -98,9 +106,10 @@ class RayPolygon(NamedTuple):
             s_max=jnp.maximum(s_min, s_max),
             standing=standing,
             feasible=feasible,
-            pulled_back=feasible & (s_min > 0) & (lowest <= 0),
+            pulled_back=feasible & (s_min > 0) & ((start.outcome != Outcome.OPTIMAL) | (_value(lowest, start.basis) <= 0)),
             known=~undecided,
-            near=Bases(self.start.index, first.basis.index, second.basis.index, hangs),
+            near=Bases(start.basis.index, first.basis.index, second.basis.index, hangs),
+            start=simplex.improved(lowest, start.basis),
         )
 
     def boundary(self, limit: Float[Array, "*n"], rising: bool = False) -> Boundary:
@@ -111,14 +120,17 @@ class RayPolygon(NamedTuple):
         """The program of the smallest acceleration at alpha = 0, (25)."""
         return Program(self.rays, -self.per_acceleration, self.target, self.scale)
 
+    def at_rest(self, sign: int) -> Program:
+        """The program of the smallest (-1) alpha at which zero acceleration is feasible, or of minus the largest (+1)."""
+        return Program(self.rays, sign * self.per_alpha, self.target, self.scale)
+
 
 def ray_polygon(
-    rays: ConeRays, com: Float[Array, "3 *n"], along: Float[Array, "3 *n"], gravity: Float[Array, "3"], near=None
+    rays: ConeRays, com: Float[Array, "3 *n"], along: Float[Array, "3 *n"], gravity: Float[Array, "3"]
 ) -> RayPolygon:
     """The polygon of a CoM that moves on the line com + alpha * along, Section III-A.
 
-    rays: with lanes last, or none. com: [m]. along: unit vectors, or zero. gravity: [m/s^2]. near: bases
-    of a similar state, `Survey.near`.
+    rays: with lanes last, or none. com: [m]. along: unit vectors, or zero. gravity: [m/s^2].
     """
     bounds = tolerances(com.dtype)
     line = wrench_line(rays.origin, rays.length, com, along, gravity)
@@ -130,7 +142,7 @@ def ray_polygon(
     # Different amounts of all rays: ties are broken, and the cone is closed in spite of rounding.
     amounts = 0.5 + (0.618034 * jnp.arange(columns.shape[1], dtype=com.dtype)) % 1
     inside = jnp.tensordot(amounts, columns, axes=(0, 1)) * (4 / columns.shape[1])
-    polygon = RayPolygon(
+    return RayPolygon(
         rays=columns,
         per_acceleration=scaled(line.per_acceleration),
         per_alpha=_without_noise(scaled(line.per_alpha), bounds.zero_coefficient * steepest),
@@ -138,14 +150,7 @@ def ray_polygon(
         scale=scale,
         steepest=steepest,
         size=line.length * line.reach,
-        start=simplex.identity(com.shape[1:], com.dtype),
-        outcome=jnp.zeros(com.shape[1:], jnp.int32),
-        near=near,
     )
-    program = jax.lax.stop_gradient(polygon.at_start())
-    begin = polygon.start if near is None else simplex.factorised(program, near.start)
-    found = simplex.solve(program, simplex.freed(program, begin), jnp.ones(com.shape[1:], bool))
-    return polygon._replace(start=simplex.improved(program, found.basis), outcome=found.outcome)
 
 
 def _without_noise(vector, noise):
@@ -217,14 +222,12 @@ def _follow(polygon: RayPolygon, alpha, basis: Basis) -> Next:
     normal = _normal(basis)
     entry = simplex.combination(-row, polygon.rays)
     inside = jnp.maximum(simplex.combination(-normal, polygon.rays), 0)
-    entry, inside = jax.lax.optimization_barrier((entry, inside))
     takes = entry > bounds.pivot * jnp.max(jnp.abs(row), axis=0)
+    # A little is added to each: of several rays on the same face, that with the largest pivot takes over.
     near = bounds.reduced_cost * jnp.max(jnp.abs(normal), axis=0)
-    safe = jnp.where(takes, entry, 1)
-    reach = jnp.min(jnp.where(takes, (inside + near) / safe, jnp.inf), axis=0)
-    ranks = jax.lax.optimization_barrier(simplex.ranked(jnp.where(takes & (inside <= reach * safe), entry, 0)))
-    size, entering = simplex.unranked(jnp.max(ranks, axis=0), len(ranks))
-    leaves = size == 0
+    turn = jax.lax.optimization_barrier(jnp.where(takes, -(inside + near) / jnp.where(takes, entry, 1), -jnp.inf))
+    first = jnp.max(turn, axis=0)
+    entering, leaves = simplex.first_of(turn, first), first == -jnp.inf
     direction = simplex.times(basis.inverse, simplex.ray(polygon.rays, entering))
     following = simplex.pivot(basis, leaving, entering, direction, ~leaves & (end < jnp.inf))
     return Next(end, leaves, _line(polygon, following), following)

@@ -27,7 +27,7 @@ UNIT = -2
 MAX_PIVOTS = 100
 """Most pivots of one program."""
 BLAND = 40
-"""From here on, Bland's rule: of all rays that improve, and of all columns that may leave, the last. It cannot cycle."""
+"""From here on, Bland's rule: of all rays that improve, and of all columns that may leave, the first. It cannot cycle."""
 
 
 class Outcome(IntEnum):
@@ -123,34 +123,16 @@ def pivot(basis: Basis, leaving: Bool[Array, "6 *n"], entering: Int[Array, "*n"]
     return Basis(jnp.where(leaving & go, entering, basis.index).astype(jnp.int32), inverse)
 
 
-def ranked(values: Float[Array, "k *n"]) -> Float[Array, "k *n"]:
-    """Values >= 0, their number along the first axis in their last bits: those that are positive are all different, and
-    one maximum tells how large and where (XLA's argmax is slow on a CPU).
-    """
-    bits, last = _bits(values), _last_bits(len(values))
-    places = jnp.arange(len(values), dtype=bits.dtype).reshape(-1, *[1] * (values.ndim - 1))
-    return jax.lax.bitcast_convert_type((bits & ~last) | places, values.dtype)
-
-
-def unranked(rank: Float[Array, "*n"], count: int) -> tuple[Float[Array, "*n"], Int[Array, "*n"]]:
-    """The value (but for its last bits) and the place that `ranked` made this of, among so many."""
-    bits, last = _bits(rank), _last_bits(count)
-    return jax.lax.bitcast_convert_type(bits & ~last, rank.dtype), (bits & last).astype(jnp.int32)
-
-
-def _bits(values):
-    return jax.lax.bitcast_convert_type(values, jnp.int64 if values.dtype == jnp.float64 else jnp.int32)
-
-
-def _last_bits(count: int) -> int:
-    return (1 << (count - 1).bit_length()) - 1
+def first_of(values: Float[Array, "k *n"], least: Float[Array, "*n"]) -> Int[Array, "*n"]:
+    """The place of the first value along the first axis that is at least this large; k where there is none."""
+    places = jnp.arange(len(values), dtype=jnp.int32).reshape(-1, *[1] * (values.ndim - 1))
+    return jnp.min(jnp.where(values >= least, places, len(values)), axis=0)
 
 
 def largest(values: Float[Array, "6 *n"]) -> tuple[Float[Array, "*n"], Bool[Array, "6 *n"]]:
-    """The largest of six values >= 0, and its place."""
-    ranks = ranked(values)
-    top = jnp.max(ranks, axis=0)
-    return unranked(top, 6)[0], ranks == top
+    """The largest of six, and its place: the first of several."""
+    place = jnp.argmax(values, axis=0)
+    return jnp.max(values, axis=0), place == jnp.arange(6).reshape(6, *[1] * place.ndim)
 
 
 def freed(program: Program, basis: Basis) -> Basis:
@@ -158,8 +140,8 @@ def freed(program: Program, basis: Basis) -> Basis:
     bound = tolerances(program.target.dtype).pivot
     stale = basis.index == FREE
     row = combination(stale.astype(program.target.dtype), basis.inverse)
-    size, axis = unranked(jnp.max(ranked(jnp.abs(row)), axis=0), 6)
-    unit = axis == jnp.arange(6).reshape(6, *[1] * axis.ndim)
+    size, unit = largest(jnp.abs(row))
+    axis = jnp.argmax(unit, axis=0).astype(jnp.int32)
     out = jnp.any(stale, axis=0)
     unit_direction = jnp.sum(jnp.where(unit[None], basis.inverse, 0), axis=1)
     basis = pivot(basis, stale, UNIT - axis, unit_direction, out & (size > 0))
@@ -228,12 +210,11 @@ def _step(program: Program, state: SimplexState) -> SimplexState:
     normal = combination(jnp.where(seeking, missing, is_free).astype(held.dtype), basis.inverse)
 
     # The ray that lies farthest outside the face through the basis.
-    gain = combination(normal, program.rays)
+    gain = jax.lax.optimization_barrier(combination(normal, program.rays))
     enough = bounds.reduced_cost * jnp.max(jnp.abs(normal), axis=0)
-    gain = jnp.where(gain > enough, jnp.where(late, 1, gain), 0)
-    ranks = jax.lax.optimization_barrier(ranked(gain))
-    best, entering = unranked(jnp.max(ranks, axis=0), len(ranks))
-    improves = running & (best > 0)
+    best = jnp.max(gain, axis=0)
+    entering = first_of(gain, jnp.where(late, enough, best))
+    improves = running & (best > enough)
 
     # The column that has to leave: of those that come to zero first, as far as rounding can tell, the largest pivot.
     direction = times(basis.inverse, ray(program.rays, entering))
@@ -242,7 +223,7 @@ def _step(program: Program, state: SimplexState) -> SimplexState:
     falls &= size > bounds.pivot
     left = jnp.where(missing != 0, jnp.abs(held), jnp.where(is_unit, 0, jnp.maximum(held, 0)))
     reach = jnp.min(jnp.where(falls, (left + zero) / jnp.where(falls, size, 1), jnp.inf), axis=0)
-    preferred = jnp.where(late, 10 + basis.index, size)
+    preferred = jnp.where(late, 1 / (2.0 + jnp.abs(basis.index)).astype(size.dtype), size)
     element, leaving = largest(jnp.where(falls & (left <= reach * size), preferred, 0))
 
     go = improves & (element > 0)

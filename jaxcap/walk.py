@@ -32,6 +32,10 @@ class Survey(NamedTuple):
     """False where the survey failed."""
     near: Any = ()
     """From where the survey of a similar state may start."""
+    start: Any = ()
+    """From where the walk may start."""
+    near: Any = ()
+    """From where the survey of a similar state may start."""
 
 
 @runtime_checkable
@@ -41,8 +45,11 @@ class Producer(Protocol):
     size: Float[Array, "*n"]
     """Scale of alpha [m]: size of the stance plus the CoM's distance from it."""
 
-    def survey(self) -> Survey:
-        """Static region, and polygon at alpha = 0."""
+    def survey(self, near=None) -> Survey:
+        """Static region, and polygon at alpha = 0. near: `Survey.near` of a similar state."""
+
+    def knowing(self, survey: Survey) -> "Producer":
+        """The same, with what its survey has found: ready to be walked."""
 
     def boundary(self, limit: Float[Array, "*n"], rising: bool = False) -> Boundary:
         """The lower boundary from alpha = 0, where the polygon must be feasible, to where it turns non-negative while
