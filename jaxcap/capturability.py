@@ -98,6 +98,8 @@ def _polygon(cone, com, com_velocity, gravity):
     dtype = jnp.promote_types(jnp.result_type(com, com_velocity), jnp.float32)
     com, com_velocity = com.astype(dtype), com_velocity.astype(dtype)
     finite = jnp.all(jnp.isfinite(com) & jnp.isfinite(com_velocity), axis=0)
+    if isinstance(cone, ConeRays):
+        finite &= jnp.all(jnp.isfinite(cone.rays), axis=(0, 1))
     along, speed = direction(jnp.where(finite, com_velocity, 0))
     cut = ray_polygon if isinstance(cone, ConeRays) else polygon
     return cut(cone, jnp.where(finite, com, 0), along, jnp.asarray(gravity, dtype)), speed, finite

@@ -8,6 +8,8 @@ import numpy as np
 from jaxtyping import Float
 
 import jaxcap
+from jaxcap.contact_columns import POINTS, RowChoices, RowContacts
+from jaxcap.contact_files import ContactSets
 from jaxcap.contacts import ContactSet
 from jaxcap.errors import InputError
 from jaxcap.result import Capturability, Case, Status
@@ -25,6 +27,8 @@ class StateBatch(NamedTuple):
     """CoM velocities [m/s]."""
     columns: Mapping[str, Any]
     """Every column as it was read, the two above included: NumPy arrays, or Arrow arrays where the file is Parquet."""
+    contacts: RowContacts | RowChoices | None = None
+    """What the columns say about the contacts of each row, if there are such columns."""
 
 
 class Field(NamedTuple):
@@ -73,20 +77,34 @@ def output_columns(out: Capturability, dtype: np.dtype) -> dict[str, np.ndarray]
     return {name: np.asarray(getattr(out, name)).astype(kind, copy=False) for name, kind in output_types(dtype).items()}
 
 
-def describe(contacts: ContactSet, gravity: Iterable[float], sides: int, dtype: np.dtype) -> dict[str, Any]:
-    """What the output file says about itself: conventions, units, names of codes, what it was computed from."""
+def describe(
+    contacts: ContactSet | ContactSets | tuple[str, ...], gravity: Iterable[float], sides: int, dtype: np.dtype
+) -> dict[str, Any]:
+    """What the output file says about itself: conventions, units, names of codes, what it was computed from.
+
+    contacts: the set of all states, the sets that a column chooses from, or the names of the columns that hold them.
+    """
+    own = {} if isinstance(contacts, ContactSet | ContactSets) else {POINTS: "m"}
     return {
         "written_by": f"jaxcap {jaxcap.__version__}",
         "conventions": "one inertial frame for all positions and velocities, z up, SI units; "
         "frames: columns are tangent, tangent, normal pointing at the robot",
-        "units": {"com": "m", "com_velocity": "m/s"} | {name: field.unit for name, field in FIELDS.items()},
+        "units": {"com": "m", "com_velocity": "m/s"} | own | {name: field.unit for name, field in FIELDS.items()},
         "meanings": {name: field.meaning for name, field in FIELDS.items()},
         **NAMES,
         "dtype": np.dtype(dtype).name,
         "gravity": [float(g) for g in gravity],
         "sides": int(sides),
-        "contacts": {name: np.asarray(getattr(contacts, name)).tolist() for name in ("points", "frames", "friction")},
+        "contacts": _described(contacts),
     }
+
+
+def _described(contacts: ContactSet | ContactSets | tuple[str, ...]) -> Any:
+    if isinstance(contacts, ContactSet):
+        return {name: np.asarray(getattr(contacts, name)).tolist() for name in ("points", "frames", "friction")}
+    if isinstance(contacts, ContactSets):
+        return [{"name": name, **_described(one)} for name, one in zip(contacts.names, contacts.sets, strict=True)]
+    return list(contacts)
 
 
 def to_json(metadata: Mapping[str, Any]) -> str:

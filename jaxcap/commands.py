@@ -2,10 +2,10 @@
 
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
 import jax
 import numpy as np
@@ -14,16 +14,20 @@ from tqdm import tqdm
 
 import jaxcap
 from jaxcap.capturability import GRAVITY
-from jaxcap.columns import describe
-from jaxcap.contact_files import read_contacts
+from jaxcap.columns import StateBatch, describe
+from jaxcap.contact_columns import CHOICE, POINTS, BadRows, RowContacts
+from jaxcap.contact_files import ContactSets, read_contact_sets
+from jaxcap.contact_rows import OwnContacts, SharedSets
+from jaxcap.contacts import ContactSet
 from jaxcap.errors import InputError
 from jaxcap.records import check_output, read_states, write_scores
 from jaxcap.summary import Summary
 
 SCORE = """Score a file of robot states: can the robot stop without moving a contact?
 
-EXAMPLE
+EXAMPLES
   jaxcap score walk.parquet --contacts feet.yaml -o scores.parquet
+  jaxcap score steps.parquet -o scores.parquet      # with columns of contacts
 
 STATES is Parquet (.parquet) or NPZ (.npz), with one row for each state:
     com            3 numbers   centre of mass [m]
@@ -49,6 +53,26 @@ CONTACTS is YAML (.yaml, .yml) or JSON (.json):
   The third column of the rotation is the contact's normal, pointing at the
   robot. Without a rotation the axes are x, y, z.
 
+CONTACTS THAT DIFFER FROM ROW TO ROW
+  Either CONTACTS has several sets, of which STATES chooses for each row:
+    sets:
+      - name: left            # optional
+        contacts: [{type: point, position: [0, 0.1, 0], friction: 0.5}]
+      - name: flight
+        contacts: []          # no contact
+    contact_set        integer, or text: the number of the set, from 0, or its
+                       name; a file with contacts: is set 0
+  Or STATES has the contacts, and there is no --contacts. For k contacts:
+    contact_points     k x 3 numbers, or 3 k: positions [m]
+    contact_frames     k x 3 x 3 numbers, or 9 k: rotations row by row, whose
+                       third column is the normal, pointing at the robot
+    contact_friction   k numbers, or one for all
+    contact_mask       optional: k booleans, false for padding; without this
+                       column, points of three NaN are padding
+  In Parquet columns of lists, with another k in each row if need be; in NPZ
+  arrays (n, k, 3), (n, k, 3, 3), (n, k). At most 64 contacts a row.
+  A row without contacts has the case EMPTY: it is in flight.
+
 OUT is Parquet or NPZ: all columns of STATES, and for each state
     capturable       whether it can come to rest
     case             how it ends: C1, C2, C3_1, ..., as a number
@@ -67,7 +91,10 @@ OUT is Parquet or NPZ: all columns of STATES, and for each state
 
 BAD ROWS
   A state with NaN, infinity or a null gets the status nonfinite and no
-  figures; the others are not affected.
+  figures; the others are not affected. Contacts that cannot be used make a bad
+  row too: a number that is not finite, a frame that is not a rotation, friction
+  that is not positive, a set that is not there, lists that do not match. A note
+  says how many there are, and what is wrong with the first (rows from 0).
 
 TABLE
   At the end: counts of cases and statuses, quantiles of the margin (to within
@@ -82,11 +109,12 @@ EXIT CODES
 def score(
     states: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="STATES")],
     *,
-    contacts: Annotated[Path, tyro.conf.arg(metavar="CONTACTS")],
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="OUT")],
+    contacts: Annotated[Path | None, tyro.conf.arg(metavar="CONTACTS")] = None,
     dtype: Literal["float32", "float64"] = "float32",
     sides: int = 4,
     batch_size: int = 65536,
+    neighbours: bool = False,
     force: bool = False,
 ) -> None:
     """Scores a file of states, writes the answers beside them and prints a summary; see SCORE.
@@ -95,34 +123,34 @@ def score(
 
     Args:
         states: File of states, .parquet or .npz.
-        contacts: File of contacts, .yaml or .json.
         output: File to write, .parquet or .npz.
+        contacts: File of contacts, .yaml or .json; not needed if STATES has them.
         dtype: Precision of the computation and of the figures written.
         sides: Edges of the pyramid that replaces each friction cone, at least 3.
         batch_size: States that are read, scored and written at a time.
+        neighbours: Rows that follow each other are similar states: saves work where each has its own contacts.
         force: Overwrite OUT if it exists.
     """
     if sides < 3:
         raise InputError(f"--sides {sides} (expected at least 3)")
     if batch_size < 1:
         raise InputError(f"--batch-size {batch_size} (expected at least 1)")
-    check_output(output, force=force, inputs=(states, contacts))
-    contact_set = read_contacts(contacts)
+    check_output(output, force=force, inputs=(states, contacts) if contacts else (states,))
+    sets = read_contact_sets(contacts) if contacts else None
     with _precision(dtype), read_states(states, batch_size, dtype) as source:
         for name in source.skipped:
             print(f"note: {states}: {name!r} is not carried through: not one value for each state", file=sys.stderr)
-        try:
-            cone = jaxcap.centroidal_cone(contact_set, sides=sides)
-        except ValueError as error:
-            raise InputError(f"{contacts}: {error}") from error
-        metadata = describe(contact_set, GRAVITY, sides, np.dtype(dtype))
+        described = _contacts(states, source.contacts, contacts, sets)
+        size = min(batch_size, source.rows)
+        scorer = _scorer(described, contacts, size, sides, neighbours)
+        metadata = describe(described, GRAVITY, sides, np.dtype(dtype))
         with write_scores(output, source.types, metadata, dtype, force=force) as sink:
-            size = min(batch_size, source.rows)
-            compiled = _compile(cone, size, dtype)
-            summary, seconds = _score_all(cone, source, sink, size)
-    print(summary.table())
-    rate = f"{summary.states / seconds:.3g} states/s" if summary.states else "no states"
-    print(f"\n{rate} ({seconds:.2f} s, after {compiled:.2f} s of compiling; {dtype}, {jax.default_backend()})")
+            done = _score_all(scorer, source, sink)
+    if done.note:
+        print(f"note: {states}: {done.note}", file=sys.stderr)
+    print(done.summary.table())
+    rate = f"{done.summary.states / done.seconds:.3g} states/s" if done.summary.states else "no states"
+    print(f"\n{rate} ({done.seconds:.2f} s, after {done.compiled:.2f} s of compiling; {dtype}, {jax.default_backend()})")
 
 
 COMMANDS = {"score": (score, SCORE)}
@@ -143,18 +171,35 @@ def run(arguments: Sequence[str]) -> None:
     )
 
 
-def _score_all(cone, source, sink, size: int) -> tuple[Summary, float]:
-    """Scores and writes every batch. Returns what was counted, and the time spent scoring [s]."""
-    summary, seconds = Summary(), 0.0
-    with tqdm(total=source.rows, unit=" states", unit_scale=True, disable=not sys.stderr.isatty()) as bar:
-        for batch in source:
-            start = time.perf_counter()
-            out = _score(cone, batch.coms, batch.com_velocities, size)
-            seconds += time.perf_counter() - start
-            sink.write(batch.columns, out)
-            summary.add(out)
-            bar.update(len(batch.coms))
-    return summary, seconds
+def _contacts(
+    states, columns: tuple[str, ...], path, sets: ContactSets | None
+) -> ContactSet | ContactSets | tuple[str, ...]:
+    """What the contacts are: one set for all states, sets that CHOICE chooses from, or columns. Raises InputError."""
+    if columns and columns != (CHOICE,):
+        if sets is not None:
+            raise InputError(f"{states}: column {columns[0]!r} gives each row its contacts (expected no --contacts {path})")
+        return columns
+    if sets is None:
+        expected = f"--contacts, in which {CHOICE!r} chooses" if columns else f"--contacts, or columns {POINTS!r}, ..."
+        raise InputError(f"{states}: no contacts (expected {expected})")
+    if columns:
+        return sets
+    if len(sets.sets) > 1:
+        raise InputError(f"{states}: no column {CHOICE!r}, which chooses among the {len(sets.sets)} sets of {path}")
+    return sets.sets[0]
+
+
+def _scorer(contacts, path, size: int, sides: int, neighbours: bool) -> Callable[[StateBatch], tuple[Any, BadRows | None]]:
+    """A function that scores a batch, and says which rows have contacts that cannot be used. size: rows of a full batch."""
+    if isinstance(contacts, ContactSet):
+        try:
+            cone = jaxcap.centroidal_cone(contacts, sides=sides)
+        except ValueError as error:
+            raise InputError(f"{path}: {error}") from error
+        return lambda batch: (_score(cone, batch.coms, batch.com_velocities, size), None)
+    options = {"sides": sides, "gravity": GRAVITY, "neighbours": neighbours}
+    scorer = SharedSets(*contacts, **options) if isinstance(contacts, ContactSets) else OwnContacts(**options)
+    return lambda batch: scorer.score(batch.contacts, batch.coms, batch.com_velocities)
 
 
 def _score(cone, coms, com_velocities, size: int):
@@ -165,12 +210,43 @@ def _score(cone, coms, com_velocities, size: int):
     return jax.tree.map(lambda field: np.asarray(field)[:n], out)
 
 
-def _compile(cone, n: int, dtype: str) -> float:
-    """Compiles for batches of n states, by scoring n states at rest. Returns the time it took [s]."""
+class _Run(NamedTuple):
+    """What there is to say at the end."""
+
+    summary: Summary
+    seconds: float
+    """Time spent scoring [s]."""
+    compiled: float
+    """Time spent compiling [s]."""
+    note: str
+    """How many rows have contacts that cannot be used, and why the first; empty if there are none."""
+
+
+def _score_all(score, source, sink) -> _Run:
+    """Scores and writes every batch."""
+    summary, seconds, compiled, widest, unusable, first = Summary(), 0.0, 0.0, -1, 0, ""
+    with tqdm(total=source.rows, unit=" states", unit_scale=True, disable=not sys.stderr.isatty()) as bar:
+        for batch in source:
+            width = batch.contacts.mask.shape[1] if isinstance(batch.contacts, RowContacts) else 0
+            if width > widest:  # compiles, by scoring states that are soon done with
+                widest = width
+                compiled += _timed(score, batch._replace(coms=np.full_like(batch.coms, np.nan)))[1]
+            (out, bad), spent = _timed(score, batch)
+            seconds += spent
+            if bad is not None and bad.rows.any():
+                first = first or f"first row {summary.states + bad.first}: {bad.why}"
+                unusable += int(bad.rows.sum())
+            sink.write(batch.columns, out)
+            summary.add(out)
+            bar.update(len(batch.coms))
+    note = f"the contacts of {unusable} rows cannot be used, these have status nonfinite; {first}" if unusable else ""
+    return _Run(summary, seconds, compiled, note)
+
+
+def _timed(score, batch: StateBatch):
+    """The answers for a batch, and the time they took [s]."""
     start = time.perf_counter()
-    if n:
-        _score(cone, np.zeros((0, 3), dtype), np.zeros((0, 3), dtype), n)
-    return time.perf_counter() - start
+    return score(batch), time.perf_counter() - start
 
 
 @contextmanager

@@ -1,6 +1,7 @@
 """The centroidal cone of a contact set: by its faces, or by its rays."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -59,9 +60,7 @@ def centroidal_cone(contacts: ContactSet, sides: int = 4) -> CentroidalCone:
     return CentroidalCone(faces=faces[order] / scale, origin=origin, length=np.asarray(length))
 
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True, eq=False)
-class ConeRays:
+class ConeRays(NamedTuple):
     """All wrenches that the contacts can exert: sums of these rays (force, torque about `origin`) with weights >= 0.
 
     One contact set, or a batch of them with equally many rows.

@@ -1,11 +1,12 @@
-"""Contact files: YAML or JSON lists of rectangles and points."""
+"""Contact files: YAML or JSON lists of rectangles and points, in one set or in several."""
 
 import json
 import re
+from collections import Counter
 from functools import reduce
 from operator import add
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -24,10 +25,28 @@ REQUIRED = {
 """Types of contact, and the fields that each needs; `type` itself, `name` and `rotation` may be there as well."""
 
 
+class ContactSets(NamedTuple):
+    """The contact sets of a file, in its order."""
+
+    sets: tuple[ContactSet, ...]
+    names: tuple[str | None, ...]
+    """None for a set without a name."""
+
+
 def read_contacts(path: str | Path) -> ContactSet:
+    """Reads a contact file that holds one set; see `read_contact_sets`, which says what it raises."""
+    sets = read_contact_sets(path).sets
+    if len(sets) > 1:
+        raise InputError(f"{path}: holds {len(sets)} sets of contacts (expected one)")
+    return sets[0]
+
+
+def read_contact_sets(path: str | Path) -> ContactSets:
     """Reads a contact file.
 
-    The file is a mapping with one key, `contacts`: a list of entries. An entry has a `type` and
+    The file is a mapping with one key. Either `contacts`: a list of entries, the contacts of one set without a name. Or
+    `sets`: a list of mappings with a key `contacts`, a list of entries that may be empty, and perhaps a `name`. An entry
+    has a `type` and
 
         rectangle  position, half_length, half_width, friction       four contacts, at the corners
         point      position, friction                                one contact
@@ -40,13 +59,44 @@ def read_contacts(path: str | Path) -> ContactSet:
     """
     path = Path(path)
     document = _load(path)
-    if not isinstance(document, dict) or list(document) != ["contacts"]:
+    if not isinstance(document, dict) or list(document) not in (["contacts"], ["sets"]):
         found = f"keys {', '.join(map(repr, document)) or 'none'}" if isinstance(document, dict) else _shown(document)
-        raise InputError(f"{path}: {found} (expected a mapping with the one key 'contacts')")
-    entries = document["contacts"]
+        raise InputError(f"{path}: {found} (expected a mapping with the one key 'contacts' or 'sets')")
+    (key, entries), = document.items()
     if not isinstance(entries, list) or not entries:
-        raise InputError(f"{path}: contacts: {_shown(entries)} (expected a list of at least one entry)")
-    return reduce(add, (_contact(f"{path}: contacts[{i}]", entry) for i, entry in enumerate(entries)))
+        raise InputError(f"{path}: {key}: {_shown(entries)} (expected a list of at least one entry)")
+    if key == "contacts":
+        return ContactSets((_set(f"{path}: ", entries),), (None,))
+    named = [_named_set(f"{path}: sets[{i}]", entry) for i, entry in enumerate(entries)]
+    names = tuple(name for name, _ in named)
+    repeated = next((name for name, n in Counter(names).items() if name is not None and n > 1), None)
+    if repeated is not None:
+        raise InputError(f"{path}: sets: more than one has the name {repeated!r}")
+    return ContactSets(tuple(contacts for _, contacts in named), names)
+
+
+def _named_set(where: str, entry: Any) -> tuple[str | None, ContactSet]:
+    """One entry of `sets`. where: file and index, for messages."""
+    if not isinstance(entry, dict):
+        raise InputError(f"{where}: {_shown(entry)} (expected a mapping)")
+    name = entry.get("name")
+    if name is not None and not isinstance(name, str):
+        raise InputError(f"{where}: name = {_shown(name)} (expected text)")
+    where = f"{where} ({name})" if name else where
+    for key in entry:
+        if key not in ("name", "contacts"):
+            raise InputError(f"{where}: unknown field {key!r} (expected name, contacts)")
+    if "contacts" not in entry:
+        raise InputError(f"{where}: no field 'contacts', which a set needs")
+    if not isinstance(entry["contacts"], list):
+        raise InputError(f"{where}: contacts: {_shown(entry['contacts'])} (expected a list, empty for no contact)")
+    return name, _set(f"{where}: ", entry["contacts"])
+
+
+def _set(where: str, entries: list) -> ContactSet:
+    """A list of entries as one set. where: beginning of messages."""
+    none = ContactSet(np.zeros((0, 3)), np.eye(3), 1.0)
+    return reduce(add, (_contact(f"{where}contacts[{i}]", entry) for i, entry in enumerate(entries)), none)
 
 
 def _contact(where: str, entry: Any) -> ContactSet:

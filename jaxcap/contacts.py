@@ -19,8 +19,11 @@ class ContactSet:
     robot, the first is the tangent from which the edges of the friction pyramid are counted. friction: (k,) or one number
     for all, > 0. mask: (k,) bool, False for a row that is only padding (default: all True).
 
-    All in one inertial frame, z up. Raises ValueError, naming field and row, for a wrong shape, a value that is not finite,
-    a frame that is not a rotation, or a friction that is not positive. Values under a JAX transformation are not checked.
+    All in one inertial frame, z up. A batch of sets of equally many rows has one leading axis more in every field: points
+    (n, k, 3), frames (n, k, 3, 3) or (3, 3), friction (n, k) or one number, mask (n, k).
+
+    Raises ValueError, naming field and row, for a wrong shape, a value that is not finite, a frame that is not a rotation,
+    or a friction that is not positive. Values under a JAX transformation are not checked.
     """
 
     points: Float[FloatArray, "*batch k 3"]
@@ -34,6 +37,8 @@ class ContactSet:
             points, frames, friction, mask = _checked(points, frames, friction, mask)
         else:
             points, frames, friction = (jnp.asarray(x) for x in (points, frames, friction))
+            frames = jnp.broadcast_to(frames, (*points.shape[:-1], 3, 3))
+            friction = jnp.broadcast_to(friction, points.shape[:-1])
             mask = jnp.ones(points.shape[:-1], dtype=bool) if mask is None else jnp.asarray(mask)
         for name, value in (("points", points), ("frames", frames), ("friction", friction), ("mask", mask)):
             object.__setattr__(self, name, value)
@@ -46,18 +51,15 @@ class ContactSet:
         if not isinstance(other, ContactSet):
             return NotImplemented
         xp = self.points.__array_namespace__()
-        return ContactSet(*(xp.concat([getattr(self, f.name), getattr(other, f.name)]) for f in fields(self)))
+        rows = self.mask.ndim - 1
+        return ContactSet(*(xp.concat([getattr(self, f.name), getattr(other, f.name)], axis=rows) for f in fields(self)))
 
     def padded(self, size: int) -> "ContactSet":
         """The same contacts in `size` rows; the rows added are masked. Raises ValueError if there are more already."""
         if size < len(self):
             raise ValueError(f"size = {size} is less than the {len(self)} contacts there are")
-        extra = size - len(self)
-        padding = ContactSet(
-            points=np.zeros((extra, 3)), frames=np.tile(np.eye(3), (extra, 1, 1)), friction=np.ones(extra),
-            mask=np.zeros(extra, dtype=bool),
-        )
-        return self + padding
+        rows = (*self.mask.shape[:-1], size - len(self))
+        return self + ContactSet(np.zeros((*rows, 3)), np.eye(3), np.ones(rows), mask=np.zeros(rows, dtype=bool))
 
     def tree_flatten_with_keys(self):
         """Leaves and their names, for JAX."""
@@ -88,32 +90,34 @@ def rectangle(position, rotation, half_length, half_width, friction) -> ContactS
 
 def _checked(points, frames, friction, mask):
     """The four fields as NumPy arrays of full shape, or ValueError."""
-    points = _array("points", points, (None, 3))
-    k = len(points)
+    batch = (None,) * (np.ndim(points) - 2)
+    points = _array("points", points, (*batch, None, 3))
+    rows = points.shape[:-1]
     frames = np.asarray(frames)
     if frames.shape == (3, 3):
-        frames = np.broadcast_to(frames, (k, 3, 3))
-    frames = _array("frames", frames, (k, 3, 3))
+        frames = np.broadcast_to(frames, (*rows, 3, 3))
+    frames = _array("frames", frames, (*rows, 3, 3))
     friction = np.asarray(friction)
     if friction.ndim == 0:
-        friction = np.broadcast_to(friction, (k,))
-    friction = _array("friction", friction, (k,), finite=False)
-    mask = np.ones(k, dtype=bool) if mask is None else np.asarray(mask)
-    if mask.dtype != bool or mask.shape != (k,):
-        raise ValueError(f"mask: {mask.dtype} of shape {mask.shape} (expected bool of shape ({k},))")
-    bad = np.flatnonzero(~(np.isfinite(friction) & (friction > 0)))
-    if bad.size:
-        raise ValueError(f"friction[{bad[0]}] = {friction[bad[0]]} (expected a positive finite number)")
+        friction = np.broadcast_to(friction, rows)
+    friction = _array("friction", friction, rows, finite=False)
+    mask = np.ones(rows, dtype=bool) if mask is None else np.asarray(mask)
+    if mask.dtype != bool or mask.shape != rows:
+        raise ValueError(f"mask: {mask.dtype} of shape {mask.shape} (expected bool of shape {rows})")
+    for index in np.argwhere(~(np.isfinite(friction) & (friction > 0)))[:1]:
+        raise ValueError(f"friction{_place(index)} = {friction[tuple(index)]} (expected a positive finite number)")
     error = np.abs(np.swapaxes(frames, -1, -2) @ frames - np.eye(3)).max(axis=(-1, -2), initial=0)
     determinant = np.linalg.det(frames)
-    bad = np.flatnonzero((error > ROTATION_ERROR) | (determinant < 0))
-    if bad.size:
-        i = bad[0]
+    for index in np.argwhere((error > ROTATION_ERROR) | (determinant < 0))[:1]:
         raise ValueError(
-            f"frames[{i}] is not a rotation: det = {determinant[i]:.3f} (expected +1), "
-            f"columns orthonormal to {error[i]:.1e} (expected {ROTATION_ERROR:.0e})"
+            f"frames{_place(index)} is not a rotation: det = {determinant[tuple(index)]:.3f} (expected +1), "
+            f"columns orthonormal to {error[tuple(index)]:.1e} (expected {ROTATION_ERROR:.0e})"
         )
     return points, frames, friction, mask
+
+
+def _place(index) -> str:
+    return f"[{', '.join(map(str, index))}]"
 
 
 ROTATION_ERROR = 1e-5
@@ -133,6 +137,6 @@ def _array(name: str, value, shape: tuple, finite: bool = True) -> np.ndarray:
     if array.ndim != len(shape) or any(n not in (None, m) for n, m in zip(shape, array.shape, strict=True)):
         raise ValueError(f"{name} has shape {array.shape} (expected ({', '.join(map(str, expected))}))")
     if finite and not np.isfinite(array).all():
-        index = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
-        raise ValueError(f"{name}{list(index)} = {array[index]} (expected a finite number)")
+        index = np.argwhere(~np.isfinite(array))[0]
+        raise ValueError(f"{name}{_place(index)} = {array[tuple(index)]} (expected a finite number)")
     return array

@@ -37,4 +37,4 @@ def wrench_rays(
     arms = (contacts.points - origin[..., None, :])[..., None, :]
     rays = xp.concatenate([forces, xp.cross(xp.broadcast_to(arms, forces.shape), forces)], axis=-1)
     rays = xp.where(contacts.mask[..., None, None], rays, 0)
-    return rays.reshape(*rays.shape[:-3], -1, 6)
+    return rays.reshape(*rays.shape[:-3], rays.shape[-3] * sides, 6)

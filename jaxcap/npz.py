@@ -14,6 +14,7 @@ from jaxtyping import Float
 from numpy.lib import format as npy
 
 from jaxcap.columns import METADATA, VECTORS, StateBatch, refuse_clashes, spelling, to_json
+from jaxcap.contact_columns import CHOICE, MASK, RowChoices, RowContacts, agree, chosen, contact_columns, count, from_arrays
 from jaxcap.errors import InputError
 from jaxcap.state_file import StateFile
 
@@ -63,7 +64,9 @@ class NpzStates(StateFile):
         for name in required:
             self._check(members[name], (3,) if name in VECTORS else ())
         self.rows = members[required[0]].shape[0]
-        for name in required[1:]:
+        self.contacts = contact_columns(self.path, members)
+        self._check_contacts(members)
+        for name in (*required[1:], *self.contacts):
             n = members[name].shape[0]
             if n != self.rows:
                 raise InputError(f"{self.path}: {name!r} has {n} rows (expected {self.rows}, as {required[0]!r} has)")
@@ -82,12 +85,37 @@ class NpzStates(StateFile):
         if member.dtype.kind not in "iuf":
             raise InputError(f"{self.path}: {member.name!r} has dtype {member.dtype} (expected floats or integers)")
 
+    def _check_contacts(self, members: Mapping[str, Member]) -> None:
+        counts = {}
+        for name in self.contacts:
+            member, where = members[name], f"{self.path}: {name!r}"
+            kinds, expected = ("iuU", "integers or names") if name == CHOICE else ("iuf", "floats or integers")
+            kinds, expected = ("b", "booleans") if name == MASK else (kinds, expected)
+            if member.dtype.kind not in kinds:
+                raise InputError(f"{where} has dtype {member.dtype} (expected {expected})")
+            if not member.shape or (name == CHOICE and member.row):
+                raise InputError(f"{where} has shape {member.shape} (expected {'(n,)' if name == CHOICE else 'n rows'})")
+            if name != CHOICE:
+                counts[name] = count(where, name, member.row)
+        agree(self.path, counts)
+        self._empty = {name: members[name] for name in self.contacts if not members[name].width}
+
     def __iter__(self) -> Iterator[StateBatch]:
         with ExitStack() as stack, _readable(self.path):
             streams = [stack.enter_context(closing(self._stream(m))) for m in self._members.values()]
             for pieces in zip(*streams, strict=True):
                 columns = dict(zip(self._members, pieces, strict=True))
-                yield StateBatch(*(self._vector(columns, names) for names in self._vectors.values()), columns)
+                vectors = (self._vector(columns, names) for names in self._vectors.values())
+                yield StateBatch(*vectors, columns, self._row_contacts(columns))
+
+    def _row_contacts(self, columns: Mapping[str, np.ndarray]) -> RowContacts | RowChoices | None:
+        if not self.contacts:
+            return None
+        n = len(next(iter(columns.values())))
+        if self.contacts == (CHOICE,):
+            return chosen(columns[CHOICE])
+        empty = {name: np.empty((n, *member.row), member.dtype) for name, member in self._empty.items()}
+        return from_arrays({name: (columns | empty)[name] for name in self.contacts}, self.dtype)
 
     def _vector(self, columns: Mapping[str, np.ndarray], names: tuple[str, ...]) -> Float[np.ndarray, "n 3"]:
         with np.errstate(over="ignore"):  # too large for float32: infinite, hence status nonfinite

@@ -29,8 +29,8 @@ class Tolerances(NamedTuple):
 def tolerances(dtype) -> Tolerances:
     """The tolerances of a floating-point dtype."""
     if jnp.finfo(dtype).bits == 64:
-        return Tolerances(1e-13, 1e-12, 1e-14, 1e-9, pivot=1e-9, reduced_cost=1e-12, weight=1e-13)
-    return Tolerances(1e-6, 2e-6, 1e-6, 1e-4, pivot=1e-4, reduced_cost=2e-6, weight=4e-7)
+        return Tolerances(1e-13, 1e-12, 1e-14, 1e-9, pivot=1e-9, reduced_cost=1e-12, weight=1e-14)
+    return Tolerances(1e-6, 2e-6, 1e-6, 1e-4, pivot=1e-4, reduced_cost=2e-6, weight=2e-7)
 
 
 def root(square: Float[Array, "*n"]) -> Float[Array, "*n"]:

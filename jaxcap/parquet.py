@@ -10,8 +10,10 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from jaxtyping import Float
 
+from jaxcap import arrow_contacts
 from jaxcap.arrow_columns import arrow_field, is_list, is_number, numbers, to_arrow, vectors
 from jaxcap.columns import FIELDS, NAMES, VECTORS, StateBatch, refuse_clashes, spelling, to_json
+from jaxcap.contact_columns import CHOICE, RowChoices, RowContacts, agree, contact_columns
 from jaxcap.errors import InputError
 from jaxcap.state_file import StateFile
 
@@ -43,6 +45,13 @@ class ParquetStates(StateFile):
         self._vectors = {vector: spelling(self.path, vector, schema.names) for vector in VECTORS}
         for name in (name for names in self._vectors.values() for name in names):
             self._check(name, schema.field(name).type, listed=name in VECTORS)
+        self.contacts = contact_columns(self.path, schema.names)
+        kinds = {name: (f"{self.path}: column {name!r}", schema.field(name).type) for name in self.contacts}
+        if self.contacts == (CHOICE,):
+            arrow_contacts.check_choice(*kinds[CHOICE])
+        else:
+            counts = {name: arrow_contacts.checked_count(where, name, kind) for name, (where, kind) in kinds.items()}
+            agree(self.path, counts)
         refuse_clashes(self.path, schema.names)
         self.types = {field.name: field for field in schema}
 
@@ -59,13 +68,21 @@ class ParquetStates(StateFile):
         with _readable(self.path):
             for table in regrouped(self._file.iter_batches(self.batch_size), self.batch_size):
                 columns = {name: _whole(table.column(name)) for name in self.types}
-                yield StateBatch(*(self._vector(columns, names, row) for names in self._vectors.values()), columns)
+                vectors = (self._vector(columns, names, row) for names in self._vectors.values())
+                yield StateBatch(*vectors, columns, self._row_contacts(columns))
                 row += table.num_rows
 
     def _vector(self, columns: Mapping[str, pa.Array], names: tuple[str, ...], row: int) -> Float[np.ndarray, "n 3"]:
         if len(names) == 1:
             return vectors(columns[names[0]], self.dtype, f"{self.path}: column {names[0]!r}", row)
         return np.stack([numbers(columns[name], self.dtype) for name in names], axis=1)
+
+    def _row_contacts(self, columns: Mapping[str, pa.Array]) -> RowContacts | RowChoices | None:
+        if not self.contacts:
+            return None
+        if self.contacts == (CHOICE,):
+            return arrow_contacts.choices(columns[CHOICE])
+        return arrow_contacts.contacts({name: columns[name] for name in self.contacts}, self.dtype)
 
 
 class ParquetWriter:

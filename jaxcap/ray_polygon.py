@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxcap import simplex
@@ -139,8 +140,9 @@ def ray_polygon(
     columns = columns.reshape(*columns.shape, *[1] * (com.ndim + 1 - columns.ndim))   # one set for all lanes
     columns = jax.lax.optimization_barrier(scaled(columns))
     scale, steepest = line.weight * line.reach, line.weight / line.length
-    # Different amounts of all rays: ties are broken, and the cone is closed in spite of rounding.
-    amounts = 0.5 + (0.618034 * jnp.arange(columns.shape[1], dtype=com.dtype)) % 1
+    # A random amount of every ray: ties are broken, and the cone is closed in spite of rounding. (Regular amounts would
+    # cancel each other around a pyramid.)
+    amounts = jnp.asarray(np.random.default_rng(0).exponential(size=columns.shape[1]), com.dtype)
     inside = jnp.tensordot(amounts, columns, axes=(0, 1)) * (4 / columns.shape[1])
     return RayPolygon(
         rays=columns,

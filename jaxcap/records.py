@@ -26,15 +26,21 @@ def read_states(path: str | Path, batch_size: int, dtype=np.float32) -> "Parquet
     path: Parquet (.parquet) or NPZ (.npz) with the columns `com` [m] and `com_velocity` [m/s]: three floats or integers
     a row (Parquet: fixed-size lists, or lists that all have three entries; NPZ: arrays (n, 3)), or com_x, com_y, com_z
     and com_velocity_x, ... Nulls are read as NaN. batch_size: rows at a time, > 0. dtype: float32 or float64, of the
-    vectors.
+    vectors and contacts.
+
+    The file may also say what the contacts of each row are: columns contact_points (k x 3) [m], contact_frames (k x 3 x 3),
+    contact_friction (k, or one number) and perhaps contact_mask (k booleans), as lists that may differ in length from row
+    to row, nested or flat, or as arrays (n, k, ...); or a column contact_set of integers or names. See `contact_columns`.
 
     Returns an open file, to be used in a `with` block: `rows` is the number of states, `types` the columns that are
-    carried through, `skipped` the NPZ arrays that are not, because they do not hold one value for each state. Iterating
-    yields a `StateBatch` for each `batch_size` rows; memory does not grow with the file. NPZ files are never unpickled.
+    carried through, `skipped` the NPZ arrays that are not, because they do not hold one value for each state, `contacts`
+    the names of the columns of contacts. Iterating yields a `StateBatch` for each `batch_size` rows; memory does not grow
+    with the file. NPZ files are never unpickled.
 
     Raises InputError, when opening or while iterating, naming file and column: a file that is missing, damaged or of
     another kind; a column that is missing, spelt twice, of the wrong shape or dtype, or named like an output column.
-    Raises MissingExtra for Parquet without pyarrow.
+    Contacts of a row that cannot be used are no error: `StateBatch.contacts` names these rows. Raises
+    MissingExtra for Parquet without pyarrow.
     """
     path = Path(path)
     extension = _extension(path)

@@ -34,11 +34,11 @@ class Status(IntEnum):
     NO_DIRECTION = 1
     """Zero velocity: capturable if and only if the CoM is in static equilibrium; margin and speeds are NaN."""
     MAX_STEPS = 2
-    """The polygon has more edges than the walk may take; undecided."""
+    """The polygon has more edges than are walked, or the simplex takes too many pivots; undecided."""
     MAX_SWINGS = 3
     """The verdict and margins stand, but the robot still swings when the bound on swings is reached: no time, distance."""
     NONFINITE = 4
-    """The state holds NaN or infinity; undecided."""
+    """The state, or its contacts, hold NaN or infinity; undecided."""
 
 
 class Capturability(NamedTuple):

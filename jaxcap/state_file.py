@@ -19,6 +19,8 @@ class StateFile(AbstractContextManager):
 
     rows: int
     """Number of states."""
+    contacts: tuple[str, ...]
+    """Names of the columns that give each row its contacts, or its set of a contacts file; see `contact_columns`."""
 
     def __init__(self, path: Path, batch_size: int, dtype: np.dtype):
         self.path, self.batch_size, self.dtype = path, batch_size, np.dtype(dtype)

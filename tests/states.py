@@ -10,6 +10,8 @@ import jaxcap
 
 ROWS = 640
 """At least as many faces as any of the random cones has."""
+POINTS = 16
+"""At least as many contacts as any of the random sets has."""
 
 
 def contact_set(points, frames, friction) -> jaxcap.ContactSet:
@@ -17,8 +19,15 @@ def contact_set(points, frames, friction) -> jaxcap.ContactSet:
     return jaxcap.ContactSet(points=points, frames=frames, friction=friction)
 
 
+FORMS = {
+    "faces": lambda contacts: jaxcap.centroidal_cone(contacts).padded(ROWS),
+    "rays": lambda contacts: jax.tree.map(np.asarray, jaxcap.cone_rays(contacts.padded(POINTS + 4))),
+}
+"""Both forms of the cone, of one size each, so that they can be stacked."""
+
+
 @cache
-def random_states(sets: int, states: int, seed: int):
+def random_states(sets: int, states: int, seed: int, form: str = "faces"):
     """`states` states for each of `sets` contact sets of 2, 3 and 4 rectangles in turn.
 
     Returns the contacts (list of sampler arrays), cones stacked (one for each state), and coms and velocities (n, 3).
@@ -27,7 +36,7 @@ def random_states(sets: int, states: int, seed: int):
     contacts, cones, coms, velocities = [], [], [], []
     for i in range(sets):
         arrays = random_contacts(rng, 2 + i % 3)
-        cone = jaxcap.centroidal_cone(contact_set(*arrays)).padded(ROWS)
+        cone = FORMS[form](contact_set(*arrays))
         for _ in range(states):
             com, velocity = random_state(rng, arrays[0])
             contacts.append(arrays)
