@@ -45,13 +45,52 @@ def write_contacts(path, document=FEET):
     return path
 
 
+def contact_lists(n: int, seed: int = 1, most: int = 8) -> dict[str, list]:
+    """Columns of contacts near the ground for n rows, each with 0 to `most` of them, as nested lists."""
+    rng = np.random.default_rng(seed)
+    points, frames, friction = [], [], []
+    for k in rng.integers(0, most + 1, n):
+        turns, half = np.linalg.qr(rng.normal(size=(k, 3, 3)))[0], rng.uniform([-0.3, -0.2, 0], [0.3, 0.2, 0.05], (k, 3))
+        turns[:, :, 2] *= np.linalg.det(turns)[:, None]
+        upward = np.where(turns[:, 2, 2] < 0, -1, 1)[:, None]
+        turns[:, :, 1:] *= upward[..., None]
+        points.append(half.tolist())
+        frames.append(turns.tolist())
+        friction.append(rng.uniform(0.3, 1, k).tolist())
+    return {"contact_points": points, "contact_frames": frames, "contact_friction": friction}
+
+
+def padded_contacts(lists: dict[str, list], size: int = 8) -> dict[str, np.ndarray]:
+    """The same columns as arrays with `size` contacts a row, padded with NaN."""
+    inner = {"contact_points": (3,), "contact_frames": (3, 3), "contact_friction": ()}
+    out = {name: np.full((len(rows), size, *inner[name]), np.nan) for name, rows in lists.items()}
+    for name, rows in lists.items():
+        for row, values in enumerate(rows):
+            out[name][row, : len(values)] = np.reshape(values, (-1, *inner[name]))
+    return out
+
+
+def arrow_contacts(lists: dict[str, list], spelling: str = "nested") -> dict[str, pa.Array]:
+    """The same columns for Parquet: nested lists, flat lists, or nested lists with inner lists of fixed size."""
+    number = pa.float64()
+    three = pa.list_(number, 3) if spelling == "fixed" else pa.list_(number)
+    square = pa.list_(three, 3) if spelling == "fixed" else pa.large_list(three)
+    kinds = {"contact_points": pa.list_(three), "contact_frames": pa.list_(square), "contact_friction": pa.list_(number)}
+    if spelling == "flat":
+        lists = {name: [np.ravel(row).tolist() for row in rows] for name, rows in lists.items()}
+        kinds = dict.fromkeys(kinds, pa.list_(number))
+    return {name: pa.array(rows, kinds[name]) for name, rows in lists.items()}
+
+
 def read_columns(path) -> dict[str, np.ndarray]:
-    """Every column of an output file as a NumPy array."""
+    """Every column of an output file as a NumPy array, but lists that may differ in length as lists."""
     if path.suffix == ".npz":
         with np.load(path, allow_pickle=False) as file:
             return {name: file[name] for name in file.files if name != "metadata"}
     table = pq.read_table(path)
-    return {name: np.array(table[name].to_pylist()) for name in table.column_names}
+    ragged = [field.name for field in table.schema if pa.types.is_list(field.type)]
+    return {name: table[name].to_pylist() if name in ragged else np.array(table[name].to_pylist())
+            for name in table.column_names}
 
 
 def read_metadata(path) -> dict:
@@ -62,7 +101,7 @@ def read_metadata(path) -> dict:
     return json.loads(pq.read_schema(path).metadata[b"jaxcap"])
 
 
-def fake_score(cone, coms, com_velocities, gravity=(0, 0, -9.81)) -> Capturability:
+def fake_score(cone, coms, com_velocities, gravity=(0, 0, -9.81), neighbours=False) -> Capturability:
     """A predictor by a simple rule: capturable below 1 m/s, and in the other ways like the real one."""
     coms, com_velocities = np.asarray(coms), np.asarray(com_velocities)
     bad = ~np.isfinite(np.hstack([coms, com_velocities])).all(axis=1)
@@ -76,8 +115,9 @@ def fake_score(cone, coms, com_velocities, gravity=(0, 0, -9.81)) -> Capturabili
 
 
 def command(states, contacts, output, *options) -> list[str]:
-    """Arguments of `jaxcap` that score a file."""
-    return ["score", str(states), "--contacts", str(contacts), "-o", str(output), *options]
+    """Arguments of `jaxcap` that score a file. contacts: None for none."""
+    given = [] if contacts is None else ["--contacts", str(contacts)]
+    return ["score", str(states), *given, "-o", str(output), *options]
 
 
 def leftovers(directory) -> list[str]:

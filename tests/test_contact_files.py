@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from state_files import FEET, write_contacts
 
-from jaxcap.contact_files import read_contacts
+from jaxcap.contact_files import read_contact_sets, read_contacts
 from jaxcap.contacts import ContactSet, rectangle
 from jaxcap.errors import InputError
 
@@ -54,6 +54,24 @@ def test_json_says_the_same_as_yaml(tmp_path):
     assert_same(read_contacts(write_contacts(tmp_path / "a.json")), read_contacts(write_contacts(tmp_path / "a.yaml")))
 
 
+def test_several_sets(tmp_path):
+    document = {"sets": [{"name": "left", "contacts": [SOLE]}, FEET, {"name": "flight", "contacts": []}]}
+    for extension in ("json", "yaml"):
+        file = read_contact_sets(write_contacts(tmp_path / f"a.{extension}", document))
+        assert file.names == ("left", None, "flight") and [len(contacts) for contacts in file.sets] == [4, 8, 0]
+        assert_same(file.sets[1], read_contacts(write_contacts(tmp_path / "b.json")))
+        assert file.sets[2].frames.shape == (0, 3, 3)
+
+
+def test_a_file_of_one_set(tmp_path):
+    one = read_contact_sets(write_contacts(tmp_path / "a.json"))
+    assert one.names == (None,) and len(one.sets) == 1
+    assert_same(one.sets[0], read_contacts(tmp_path / "a.json"))
+    assert_same(read_contacts(write_contacts(tmp_path / "b.json", {"sets": [FEET]})), one.sets[0])
+    path = write_contacts(tmp_path / "c.json", {"sets": [FEET, FEET]})
+    assert_refused(path, "holds 2 sets of contacts (expected one)")
+
+
 def test_entries_keep_their_order(tmp_path):
     contacts = read_contacts(write_contacts(tmp_path / "a.json"))
     assert len(contacts) == 8
@@ -88,6 +106,16 @@ def assert_refused(path, *words):
     ({"contacts": [POINT], "gravity": 9.81}, ["'gravity'", "the one key 'contacts'"]),
     ([POINT], ["expected a mapping"]),
     ("rectangle", ["expected a mapping"]),
+    ({"sets": []}, ["sets: []", "at least one entry"]),
+    ({"sets": {"left": FEET}}, ["sets: {'left'", "expected a list"]),
+    ({"sets": [FEET], "contacts": [POINT]}, ["keys 'sets', 'contacts'", "the one key 'contacts' or 'sets'"]),
+    ({"sets": [[POINT]]}, ["sets[0]: [{", "expected a mapping"]),
+    ({"sets": [FEET, {"name": "left"}]}, ["sets[1] (left): no field 'contacts'"]),
+    ({"sets": [{"name": 1, "contacts": []}]}, ["sets[0]: name = 1 (expected text)"]),
+    ({"sets": [{"contacts": None}]}, ["sets[0]: contacts: None (expected a list, empty for no contact)"]),
+    ({"sets": [{"contacts": [], "points": 3}]}, ["sets[0]: unknown field 'points' (expected name, contacts)"]),
+    ({"sets": [{"name": "a", "contacts": []}] * 2}, ["sets: more than one has the name 'a'"]),
+    ({"sets": [{"name": "a", "contacts": [POINT, {**POINT, "mu": 1}]}]}, ["sets[0] (a): contacts[1]: unknown field 'mu'"]),
     ({"contacts": ["sole"]}, ["contacts[0]: 'sole' (expected a mapping)"]),
     ({"contacts": [POINT, {**POINT, "type": "sphere"}]}, ["[1]: type = 'sphere' (expected rectangle or point)"]),
     ({"contacts": [{**POINT, "type": ["point"]}]}, ["contacts[0]: type = ['point']"]),
