@@ -16,6 +16,8 @@ LANES = 64
 """States of a chunk, computed side by side: rows x lanes numbers should fit the cache."""
 BLOCK = 1 << 13
 """States of a block, one call of the compiled program; several run at a time."""
+RAYS_BLOCK = 1 << 12
+"""The same where every state has its own contacts: it takes longer, and both cores should have work."""
 ROWS = 16
 """Faces are padded to a multiple of this, so that not every contact set is compiled anew."""
 
@@ -54,8 +56,9 @@ def score(
     per_state, common = ((coms, com_velocities, cone), None) if own else ((coms, com_velocities), cone)
     if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves((coms, com_velocities, cone))):
         return _score_block(common, per_state, gravity, neighbours)
-    run = lambda start: _compiled(common, _block(per_state, n, start), gravity, neighbours)
-    first, *starts = range(0, max(n, 1), BLOCK)
+    block = RAYS_BLOCK if own else BLOCK
+    run = lambda start: _compiled(common, _block(per_state, n, start, block), gravity, neighbours)
+    first, *starts = range(0, max(n, 1), block)
     parts = [run(first), *_side_by_side(run, starts)]
     return jax.tree.map(lambda *fields: jnp.concatenate(fields)[:n], *parts)
 
@@ -75,11 +78,11 @@ def _side_by_side(run, starts):
         return list(threads.map(in_thread, starts))
 
 
-def _block(per_state, n: int, start: int):
+def _block(per_state, n: int, start: int, block: int):
     """One block of n states, padded to the next of a few sizes, each of which is compiled once."""
-    rows = min(BLOCK, n - start)
-    size = BLOCK if start else min(BLOCK, max(LANES, 1 << max(rows - 1, 0).bit_length()))
-    return _padded(jax.tree.map(lambda leaf: leaf[start : start + BLOCK], per_state), size)
+    rows = min(block, n - start)
+    size = block if start else min(block, max(LANES, 1 << max(rows - 1, 0).bit_length()))
+    return _padded(jax.tree.map(lambda leaf: leaf[start : start + block], per_state), size)
 
 
 def _padded(per_state, size: int):
@@ -96,6 +99,7 @@ def _score_block(common, per_state, gravity, neighbours: bool):
     standing = surveys.standing & surveys.feasible
     kind = 1 * surveys.feasible + standing + 2 * (standing & surveys.pulled_back) + 4 * (standing & surveys.near.hangs)
     order = jnp.argsort(kind, stable=True)
+    surveys = surveys._replace(near=())
     one = lambda arguments: capturability_of_lanes(*_arguments(common, arguments[0]), gravity, arguments[1])
     answers = _over_chunks(one, jax.tree.map(lambda x: x[order], (per_state, surveys)))
     return jax.tree.map(lambda x: jnp.zeros_like(x).at[order].set(x), answers)
@@ -104,15 +108,16 @@ def _score_block(common, per_state, gravity, neighbours: bool):
 def _surveys(common, per_state, gravity, neighbours: bool):
     """All surveys of a block. Neighbours share a lane, and each begins where the one before has ended."""
     one = lambda states, near=None: survey_of_lanes(*_arguments(common, states), gravity, near)
+    lean = lambda survey: survey._replace(near=survey.near._replace(start=(), least=(), most=()))
     if not neighbours:
-        return _over_chunks(one, per_state)
+        return _over_chunks(lambda states: lean(one(states)), per_state)
     n, steps = len(per_state[0]), -(-len(per_state[0]) // LANES)
     to_steps = lambda x: jnp.moveaxis(x.reshape(LANES, steps, *x.shape[1:]), 0, -1)
     states = jax.tree.map(to_steps, _padded(per_state, steps * LANES))
 
     def step(near, states):
         survey = one(states, near)
-        return survey.near, survey
+        return survey.near, lean(survey)
 
     first = one(jax.tree.map(lambda x: x[0], states))
     surveys = jax.lax.scan(step, first.near, states)[1]

@@ -22,16 +22,18 @@ from jaxcap.wrench_line import wrench_line
 
 
 class Bases(NamedTuple):
-    """The columns of three optimal bases (see `Basis.index`)."""
+    """What a survey has found out on the way."""
 
-    start: Int[Array, "6 *n"]
+    start: Basis
     """Of the smallest acceleration at alpha = 0."""
-    least: Int[Array, "6 *n"]
+    least: Basis
     """Of s_min."""
-    most: Int[Array, "6 *n"]
+    most: Basis
     """Of s_max."""
     hangs: Bool[Array, "*n"]
     """The force that ends the static region ahead bounds the acceleration from above: the polygon goes on beyond."""
+    pivots: Int[Array, "*n"]
+    """That the three programs took."""
 
 
 class RayPolygon(NamedTuple):
@@ -75,23 +77,19 @@ class RayPolygon(NamedTuple):
         )
 
     def survey(self, near: "Bases | None" = None) -> Survey:
-        """Static region, and polygon at alpha = 0. near: bases of a similar state."""
+        """Static region, and polygon at alpha = 0. near: `Survey.near` of a similar state."""
         fixed = jax.tree.map(jax.lax.stop_gradient, self)
         lowest, least, most = fixed.at_start(), fixed.at_rest(-1), fixed.at_rest(1)
         everywhere = jnp.ones(self.scale.shape, bool)
-        begin = lambda program, index: simplex.freed(program, simplex.factorised(program, index))
         unit = simplex.identity(self.scale.shape, self.scale.dtype)
-        start = simplex.solve(
-            lowest, simplex.freed(lowest, unit) if near is None else begin(lowest, near.start), everywhere
-        )
+        begin = simplex.freed(lowest, unit) if near is None else simplex.renewed(lowest, near.start)
+        start = simplex.solve(lowest, begin, everywhere)
         feasible = start.outcome != Outcome.INFEASIBLE
-        first = simplex.solve(
-            least, simplex.freed(least, start.basis) if near is None else begin(least, near.least), everywhere
-        )
+        begin = simplex.freed(least, start.basis) if near is None else simplex.renewed(least, near.least)
+        first = simplex.solve(least, begin, everywhere)
         standing = first.outcome != Outcome.INFEASIBLE
-        second = simplex.solve(
-            most, _turned(first.basis) if near is None else begin(most, near.most), standing & feasible
-        )
+        begin = _turned(first.basis) if near is None else simplex.renewed(most, near.most)
+        second = simplex.solve(most, begin, standing & feasible)
         bounded = lambda program, found: jnp.where(
             (found.outcome == Outcome.OPTIMAL) & jnp.any(found.basis.index == FREE, axis=0),
             _value(program, found.basis),
@@ -102,6 +100,7 @@ class RayPolygon(NamedTuple):
         undecided |= standing & feasible & (second.outcome == Outcome.UNDECIDED)
         face = _normal(second.basis)
         hangs = standing & feasible & (jnp.sum(face * self.per_acceleration, axis=0) > 0)
+        pivots = start.pivots + first.pivots + second.pivots
         return Survey(
             s_min=s_min,
             s_max=jnp.maximum(s_min, s_max),
@@ -109,7 +108,7 @@ class RayPolygon(NamedTuple):
             feasible=feasible,
             pulled_back=feasible & (s_min > 0) & ((start.outcome != Outcome.OPTIMAL) | (_value(lowest, start.basis) <= 0)),
             known=~undecided,
-            near=Bases(start.basis.index, first.basis.index, second.basis.index, hangs),
+            near=Bases(start.basis, first.basis, second.basis, hangs, pivots),
             start=simplex.improved(lowest, start.basis),
         )
 

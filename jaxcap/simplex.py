@@ -166,10 +166,33 @@ def factorised(program: Program, index: Int[Array, "6 *n"]) -> Basis:
 
 def improved(program: Program, basis: Basis) -> Basis:
     """A Newton step for the inverse, which pivots have spoilt."""
+    return _newton(program, basis)[0]
+
+
+def renewed(program: Program, basis: Basis) -> Basis:
+    """The basis of a similar program as one of this: other free column, rays perhaps a little different.
+
+    Where the free column does not fit, or the rays have changed so much that the inverse is none, it begins anew.
+    """
+    leaving, direction = basis.index == FREE, times(basis.inverse, program.free)
+    fits = jnp.abs(jnp.sum(jnp.where(leaving, direction, 0), axis=0)) > 1e-3 * jnp.max(jnp.abs(direction), axis=0)
+    better, error = _newton(program, pivot(basis, leaving, jnp.full(fits.shape, FREE, jnp.int32), direction, fits))
+    good = fits & (error < 0.1)
+
+    def mended():
+        anew = freed(program, identity(fits.shape, direction.dtype))
+        return jax.tree.map(lambda old, new: jnp.where(good, old, new), better, anew)
+
+    return jax.lax.cond(jnp.all(good), lambda: better, mended)
+
+
+def _newton(program: Program, basis: Basis) -> tuple[Basis, Float[Array, "*n"]]:
+    """The basis after a Newton step for its inverse, and the largest error before."""
     matrix, inverse = columns(program, basis.index), basis.inverse
     product = sum(matrix[:, i, None] * inverse[None, i] for i in range(6))
     error = jnp.eye(6, dtype=inverse.dtype).reshape(6, 6, *[1] * (inverse.ndim - 2)) - product
-    return basis._replace(inverse=inverse + sum(inverse[:, i, None] * error[None, i] for i in range(6)))
+    better = inverse + sum(inverse[:, i, None] * error[None, i] for i in range(6))
+    return basis._replace(inverse=better), jnp.max(jnp.abs(error), axis=(0, 1))
 
 
 class SimplexState(NamedTuple):

@@ -1,0 +1,93 @@
+"""What campaigns found, in one table: `python -m reference.tsid.summary reference/tsid/data`.
+
+A line is a file, or one controller of it:
+
+    ran                  samples that it was run on: all of an `--all` file, else those that no controller before it stopped
+    stopped              came to rest
+    fallen               infeasible: the controller's QP was proved to have no solution; slip: a contact moved
+    undecided            time: neither within the time limit; unsolved: no solver solved a QP that no proof calls infeasible
+    errors               failed samples, whose rows hold the error
+    seconds              median time until the stop and until the fall
+    refused, again, ...  how often solvers needed help, as `CertifiedSolver` counts it, over all runs
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections import Counter
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+from reference.tsid.table import Unreadable, read
+
+COUNTERS = ("refused", "again", "badly", "certified", "overturned", "other", "unsolved")
+"""In the order in which `CertifiedSolver` uses them."""
+
+REASONS = ("stopped", "infeasible", "slip", "time", "unsolved")
+
+HEADER = (
+    f"{'file':24}{'controller':22}{'ran':>7}{'stopped':>9}{'infeasible':>12}{'slip':>6}{'time':>6}{'unsolved':>10}"
+    f"{'s to stop':>11}{'s to fall':>11}  " + " ".join(f"{name:>10}" for name in COUNTERS)
+)
+
+
+def lines(path: Path) -> list[str]:
+    """The file's own line, then one a controller. Raises `Unreadable`."""
+    settings, versions, rows = read(path)
+    errors = [row for row in rows if "error" in row]
+    size = f"{path.stat().st_size / 1e6:.2f} MB"
+    about = [f"{path.name}: {len(rows)} samples, {len(errors)} errors, {size}, seed {settings['seed']}"]
+    if not settings["every"]:
+        outcomes = Counter(row["outcome"] for row in rows if "outcome" in row)
+        about.append("best: " + ", ".join(f"{number} {name}" for name, number in sorted(outcomes.items())))
+    if len(versions) > 1:
+        about.append(f"made by {len(versions)} sets of library versions")
+    found = [", ".join(about)]
+    for controller in settings["controllers"]:
+        runs = [row for row in rows if f"{controller}_outcome" in row]
+        found.append(_line(path.stem, controller, runs))
+    return found + [f"{path.name}: sample {row['index']}: {row['error']}" for row in errors[:5]]
+
+
+def _line(name: str, controller: str, runs: list[dict[str, Any]]) -> str:
+    reasons = Counter(row[f"{controller}_reason"] for row in runs)
+    counters = (sum(row.get(f"{controller}_{counter}", 0) for row in runs) for counter in COUNTERS)
+    stops, falls = (
+        [row[f"{controller}_time"] for row in runs if row[f"{controller}_outcome"] == outcome]
+        for outcome in ("stopped", "fallen")
+    )
+    times = (f"{median(seconds):.2f}" if seconds else "-" for seconds in (stops, falls))
+    cells = (f"{reasons[reason]:{width}}" for reason, width in zip(REASONS, (9, 12, 6, 6, 10), strict=True))
+    helped = " ".join(f"{number:10}" for number in counters)
+    return f"{name:24}{controller:22}{len(runs):7}{''.join(cells)}{''.join(f'{time:>11}' for time in times)}  {helped}"
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Print the table of files, or of a folder's. Returns the exit status: 0, or 1 if one is unreadable."""
+    parser = argparse.ArgumentParser(
+        prog="python -m reference.tsid.summary",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("paths", nargs="+", type=Path, metavar="FILE.parquet | FOLDER")
+    options = parser.parse_args(arguments)
+    files = [file for path in options.paths for file in (sorted(path.glob("*.parquet")) if path.is_dir() else [path])]
+    if not files:
+        parser.error(f"no .parquet file in {', '.join(map(str, options.paths))}")
+    status, total = 0, 0
+    print(HEADER)
+    for path in files:
+        try:
+            print("\n" + "\n".join(lines(path)), flush=True)
+            total += path.stat().st_size
+        except (Unreadable, OSError) as error:
+            print(f"summary: {error}", file=sys.stderr)
+            status = 1
+    print(f"\n{len(files)} files, {total / 1e6:.2f} MB")
+    return status
+
+
+if __name__ == "__main__":
+    sys.exit(main())
