@@ -62,10 +62,11 @@ def capturability(
 ) -> Capturability:
     """Can the robot come to rest without moving a contact, its CoM decelerating along its own velocity?
 
-    cone: from `centroidal_cone`. com: (3,) [m], com_velocity: (3,) [m/s], gravity: (3,) [m/s^2], all in the contacts' frame,
-    z up. The dtype of `com` decides the precision. One state, pure: works under jit, vmap, jacfwd, jacrev and grad; `score`
-    is much faster for many. Compiled at the first call for each number of faces. Never raises for the values of a state: see
-    `Status`. Raises TypeError for a wrong shape.
+    cone: from `centroidal_cone` or `cone_rays`; with rays, the answer is also differentiable in the contacts. com: (3,) [m],
+    com_velocity: (3,) [m/s], gravity: (3,) [m/s^2], all in the contacts' frame, z up. The dtype of `com` decides the
+    precision. One state, pure: works under jit, vmap, jacfwd, jacrev and grad; `score` is much faster for many. Compiled at
+    the first call for each number of faces or rays. Never raises for the values of a state: see `Status`. Raises TypeError
+    for a wrong shape.
 
     Source: Section III, Algorithms 1 and 2, with the energy in place of time; C3.3, which the paper leaves open, by swings.
     """
