@@ -1,6 +1,6 @@
 """How fast is `jaxcap.score` where every state has its own contacts? Ray form, projection, linear programs, in one run.
 
-    python -m bench.rays [--states 16384] [--baseline 40] [--repeats 3] [--json FILE]
+    python -m bench.rays [--states 32768] [--baseline 40] [--repeats 3] [--json FILE]
 
 Every state is random and has its own random contact set: 2, 3 or 4 rectangles (see tests/samplers.py). A line is a number
 of rectangles and a precision. The ratios come first, states/s of the ray form over those of
@@ -16,7 +16,7 @@ double precision, although the margin is larger than the band: it has to be 0.
 The second table counts pivots of a survey (the smallest acceleration at alpha = 0, and both ends of the static region) and
 pieces of the lower boundary, cold, in double precision, for kinds of contact sets; 400 random states each.
 
-Everything is seeded. Takes about three minutes. Needs the extras sim, data and cli, as the other benchmarks do.
+Everything is seeded. Takes about six minutes. Needs the extras sim, data and cli, as the other benchmarks do.
 """
 
 import argparse
@@ -166,7 +166,7 @@ def table(rows: list[dict]) -> str:
 def main():
     """Measure, print, and save where asked for."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--states", type=int, default=16384, help="states of a line; a multiple of 64")
+    parser.add_argument("--states", type=int, default=32768, help="states of a line; a multiple of 64")
     parser.add_argument("--baseline", type=int, default=40, help="states of the baselines")
     parser.add_argument("--repeats", type=int, default=3)
     parser.add_argument("--json", type=Path, help="also save all rows here")
