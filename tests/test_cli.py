@@ -33,11 +33,14 @@ from jaxcap.result import Case, Status
 PAIRS = [(i, o) for i in ("parquet", "npz") for o in ("parquet", "npz")]
 
 SLOW = """
+import signal
 import sys
 import time
 import jaxcap
 from state_files import fake_score
 from jaxcap.cli import main
+signal.signal(signal.SIGINT, signal.default_int_handler)   # ignored where the tests run in the background of a shell,
+signal.signal(signal.SIGHUP, signal.SIG_DFL)               # or under nohup
 calls = []
 def score(*arguments, **options):
     calls.append(0) or len(calls) > 1 or print("scoring", flush=True)
