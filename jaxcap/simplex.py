@@ -245,9 +245,10 @@ def _step(program: Program, state: SimplexState) -> SimplexState:
     falls = jnp.where(missing != 0, direction * held > 0, is_unit | is_ray & (direction > 0)) & ~is_free
     falls &= size > bounds.pivot
     left = jnp.where(missing != 0, jnp.abs(held), jnp.where(is_unit, 0, jnp.maximum(held, 0)))
-    reach = jnp.min(jnp.where(falls, (left + zero) / jnp.where(falls, size, 1), jnp.inf), axis=0)
+    safe = jnp.where(falls, size, 1)
+    reach = jnp.min(jnp.where(falls, (left + zero) / safe, jnp.inf), axis=0)
     preferred = jnp.where(late, 1 / (2.0 + jnp.abs(basis.index)).astype(size.dtype), size)
-    element, leaving = largest(jnp.where(falls & (left <= reach * size), preferred, 0))
+    element, leaving = largest(jnp.where(falls & (left / safe <= reach), preferred, 0))   # a product could round down
 
     go = improves & (element > 0)
     stuck = running & ~improves & seeking
