@@ -168,7 +168,11 @@ def test_killed_at_random_moments_it_resumes_to_the_same_bytes(tmp_path):
 
 def test_ctrl_c_keeps_the_journal_and_says_how_to_resume(tmp_path):
     path = tmp_path / "c.parquet"
-    command = [sys.executable, "-m", "reference.tsid.campaign", *arguments(path, "--set", "delay=0.2", "--jobs", "2")]
+    program = (   # a shell that runs the tests in the background has the signal ignored
+        "import signal, sys; from reference.tsid.campaign import main;"
+        "signal.signal(signal.SIGINT, signal.default_int_handler); sys.exit(main(sys.argv[1:]))"
+    )
+    command = [sys.executable, "-c", program, *arguments(path, "--set", "delay=0.2", "--jobs", "2")]
     process = subprocess.Popen(command, cwd=ROOT, stderr=subprocess.PIPE, text=True, start_new_session=True)
     journal, start = tmp_path / "c.parquet.journal", time.monotonic()
     while time.monotonic() - start < 60 and not (journal.exists() and journal.stat().st_size > 8000):
