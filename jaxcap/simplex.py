@@ -29,6 +29,13 @@ MAX_PIVOTS = 100
 BLAND = 40
 """From here on, Bland's rule: of all rays that improve, and of all columns that may leave, the first. It cannot cycle."""
 
+LOST_UNIT = 8
+"""How much rather a unit column leaves than a ray, where the free variable comes in."""
+LEAST_FIT = 1e-3
+"""A free column fits in another's place if its own share of it is at least this much of the largest."""
+WORN = 0.1
+"""Largest error of an inverse that a Newton step may mend: it squares the error."""
+
 
 class Outcome(IntEnum):
     """How a program ends."""
@@ -147,7 +154,7 @@ def freed(program: Program, basis: Basis) -> Basis:
     basis = pivot(basis, stale, UNIT - axis, unit_direction, out & (size > 0))
     direction = times(basis.inverse, program.free)
     # A unit column is as good as lost; among the others, the largest pivot.
-    size, leaving = largest(jnp.where(basis.index <= UNIT, 8, 1) * jnp.abs(direction))
+    size, leaving = largest(jnp.where(basis.index <= UNIT, LOST_UNIT, 1) * jnp.abs(direction))
     found = size > bound * jnp.max(jnp.abs(program.free), axis=0)
     return pivot(basis, leaving, jnp.full(size.shape, FREE, jnp.int32), direction, found)
 
@@ -175,9 +182,10 @@ def renewed(program: Program, basis: Basis) -> Basis:
     Where the free column does not fit, or the rays have changed so much that the inverse is none, it begins anew.
     """
     leaving, direction = basis.index == FREE, times(basis.inverse, program.free)
-    fits = jnp.abs(jnp.sum(jnp.where(leaving, direction, 0), axis=0)) > 1e-3 * jnp.max(jnp.abs(direction), axis=0)
+    own = jnp.abs(jnp.sum(jnp.where(leaving, direction, 0), axis=0))
+    fits = own > LEAST_FIT * jnp.max(jnp.abs(direction), axis=0)
     better, error = _newton(program, pivot(basis, leaving, jnp.full(fits.shape, FREE, jnp.int32), direction, fits))
-    good = fits & (error < 0.1)
+    good = fits & (error < WORN)
 
     def mended():
         anew = freed(program, identity(fits.shape, direction.dtype))
