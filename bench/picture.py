@@ -21,10 +21,11 @@ from matplotlib.patheffects import withStroke
 
 import jaxcap
 from bench.robot_states import STANCES, Sampler
+from jaxcap.plotting.style import BLUE, ORANGE, RED
 from jaxcap.robots import TALOS_CONTACTS
+from jaxcap.velocity_area import VelocityArea, headings, velocity_area
 
 STANCE = next(stance for stance in STANCES if stance.name == "talos_hand_on_wall")
-BLUE, ORANGE, RED = "#0060a0", "#e69f00", "#8b1a00"   # told apart by colour-blind readers, and in grey
 BODY, FAR_BODY, WHITE = "#3c3c3c", "#777777", "#ffffff"
 PUSH = np.array([1.2, 0.65, 0.0])
 """CoM velocity shown in both halves [m/s]."""
@@ -51,12 +52,9 @@ def patches() -> dict[str, jaxcap.ContactSet]:
     }
 
 
-def kernel(contacts, com) -> np.ndarray:
-    """The edge of the capturable horizontal velocities of this CoM: (DIRECTIONS, 2) [m/s]. contacts: a list of sets."""
-    angles = np.linspace(0, 2 * np.pi, DIRECTIONS)
-    towards = np.stack([np.cos(angles), np.sin(angles), np.zeros_like(angles)], axis=1)
-    out = jaxcap.score(jaxcap.centroidal_cone(reduce(add, contacts)), np.tile(com, (DIRECTIONS, 1)), towards)
-    return np.minimum(np.asarray(out.max_speed), FAR)[:, None] * towards[:, :2]
+def kernel(contacts, com) -> VelocityArea:
+    """The capturable horizontal velocities of this CoM. contacts: a list of sets."""
+    return velocity_area(jaxcap.centroidal_cone(reduce(add, contacts)), com, headings(DIRECTIONS))
 
 
 def skeleton() -> tuple[dict[str, np.ndarray], np.ndarray]:
@@ -110,22 +108,18 @@ def draw_stance(axes, contacts, limbs, com) -> None:
     axes.set_axis_off()
 
 
-def area(region) -> float:
-    """Area of a polygon with vertices (n, 2)."""
-    x, y = region.T
-    return abs(x @ np.roll(y, 1) - y @ np.roll(x, 1)) / 2
-
-
-def draw_kernels(axes, feet, both) -> None:
-    """The two regions of velocities, (n, 2) [m/s] each."""
-    axes.fill(*both.T, facecolor=ORANGE, alpha=0.55, edgecolor=ORANGE, linewidth=2.5)
-    axes.fill(*feet.T, facecolor=BLUE, edgecolor=BLUE, linewidth=2.5)
+def draw_kernels(axes, feet: VelocityArea, both: VelocityArea) -> None:
+    """The two regions of velocities."""
+    for outline in both.outline(FAR):
+        axes.fill(*outline.T, facecolor=ORANGE, alpha=0.55, edgecolor=ORANGE, linewidth=2.5)
+    for outline in feet.outline(FAR):
+        axes.fill(*outline.T, facecolor=BLUE, edgecolor=BLUE, linewidth=2.5)
     axes.axhline(0, color="black", linewidth=0.6)
     axes.axvline(0, color="black", linewidth=0.6)
     axes.set(xlim=(-0.9, 2.45), ylim=(-1.0, 1.45), aspect="equal")
     axes.set(xlabel="CoM velocity, forwards [m/s]", ylabel="CoM velocity, to the left [m/s]")
     axes.text(-0.055, 0.06, "stops on\nits feet\nalone", color="white", ha="center", weight="bold")
-    more = area(both) / area(feet)
+    more = float(both.size() / feet.size())
     text = f"stops if the hand\nis on the wall:\n{more:.1f} x as many"
     axes.text(0.74, 0.38, text, ha="center", va="center", weight="bold")
     axes.text(1.65, -0.55, "has to move a contact,\nor falls", ha="center", color="#555555")

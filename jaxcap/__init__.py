@@ -2,6 +2,9 @@
 
 from jaxcap.batch import score as score
 from jaxcap.capturability import capturability as capturability
+from jaxcap.capture_point import Baselines as Baselines
+from jaxcap.capture_point import baselines as baselines
+from jaxcap.capture_point import capture_point as capture_point
 from jaxcap.cone import CentroidalCone as CentroidalCone
 from jaxcap.cone import ConeRays as ConeRays
 from jaxcap.cone import centroidal_cone as centroidal_cone
@@ -11,5 +14,9 @@ from jaxcap.contacts import rectangle as rectangle
 from jaxcap.result import Capturability as Capturability
 from jaxcap.result import Case as Case
 from jaxcap.result import Status as Status
+from jaxcap.support_distance import hull_distance as hull_distance
+from jaxcap.support_distance import support_distance as support_distance
+from jaxcap.support_polygon import SupportPolygon as SupportPolygon
+from jaxcap.support_polygon import support_polygon as support_polygon
 
 __version__ = "0.1.0"

@@ -1,6 +1,8 @@
 """Many states: chunks for the cache, blocks for the cores."""
 
 import os
+from collections import deque
+from collections.abc import Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 
 import jax
@@ -50,32 +52,47 @@ def score(
     own = isinstance(cone, ConeRays) and cone.rays.ndim == 3
     if own and len(cone.rays) != n:
         raise TypeError(f"cone has rays of {len(cone.rays)} contact sets (expected one, or one for each of {n} states)")
-    if isinstance(cone, CentroidalCone):
-        cone = cone.padded(-(-max(len(cone.faces), 1) // ROWS) * ROWS)
+    cone = padded_cone(cone)
     gravity = jnp.asarray(gravity, jnp.result_type(coms, jnp.float32))
     per_state, common = ((coms, com_velocities, cone), None) if own else ((coms, com_velocities), cone)
     if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves((coms, com_velocities, cone))):
-        return _score_block(common, per_state, gravity, neighbours)
+        return answer_block(common, per_state, gravity, neighbours)
     block = RAYS_BLOCK if own else BLOCK
     run = lambda start: _compiled(common, _block(per_state, n, start, block), gravity, neighbours)
     first, *starts = range(0, max(n, 1), block)
-    parts = [run(first), *_side_by_side(run, starts)]
+    parts = [run(first), *side_by_side(run, starts)]
     return jax.tree.map(lambda *fields: jnp.concatenate(fields)[:n], *parts)
 
 
-def _side_by_side(run, starts):
-    """The results of run(start), in order, from one thread a core: on a CPU, JAX runs what one thread asks for in sequence.
+def padded_cone(cone: CentroidalCone | ConeRays) -> CentroidalCone | ConeRays:
+    """The same, faces padded to a multiple of ROWS."""
+    return cone.padded(-(-max(len(cone.faces), 1) // ROWS) * ROWS) if isinstance(cone, CentroidalCone) else cone
 
-    Called after a first run, which has compiled the program.
+
+def side_by_side(run, items: Iterable, ahead: int | None = None) -> Iterator:
+    """The results of run(item), in order, from one thread a core: on a CPU, JAX runs what one thread asks for in sequence.
+
+    ahead: how many items at most are begun beyond the one whose result is waited for; None for all. Called when the program
+    is compiled.
     """
     x64 = jax.config.jax_enable_x64
 
-    def in_thread(start):
+    def in_thread(item):
         with jax.enable_x64(x64):   # the switch belongs to a thread
-            return jax.block_until_ready(run(start))
+            return jax.block_until_ready(run(item))
 
+    waiting = deque()
     with ThreadPoolExecutor(max_workers=os.cpu_count()) as threads:
-        return list(threads.map(in_thread, starts))
+        try:
+            for item in items:
+                waiting.append(threads.submit(in_thread, item))
+                if ahead is not None and len(waiting) > ahead:
+                    yield waiting.popleft().result()
+            while waiting:
+                yield waiting.popleft().result()
+        finally:
+            for future in waiting:
+                future.cancel()
 
 
 def _block(per_state, n: int, start: int, block: int):
@@ -90,17 +107,17 @@ def _padded(per_state, size: int):
     return jax.tree.map(lambda x: jnp.pad(x, ((0, size - len(x)), *[(0, 0)] * (x.ndim - 1))), per_state)
 
 
-def _score_block(common, per_state, gravity, neighbours: bool):
-    """The answers for one block."""
+def answer_block(common, per_state, gravity, neighbours: bool = False, answer=capturability_of_lanes):
+    """The answers for one block. answer: of (cone, CoM, velocity, gravity, survey if it is known), all with lanes last."""
     if isinstance(common, CentroidalCone):
-        return _over_chunks(lambda states: capturability_of_lanes(common, *states, gravity), per_state)
+        return _over_chunks(lambda states: answer(common, *states, gravity), per_state)
     surveys = _surveys(common, per_state, gravity, neighbours)
     # A chunk takes as long as its slowest lane: states with the same kind of way ahead of them go together.
     standing = surveys.standing & surveys.feasible
     kind = 1 * surveys.feasible + standing + 2 * (standing & surveys.pulled_back) + 4 * (standing & surveys.near.hangs)
     order = jnp.argsort(kind, stable=True)
     surveys = surveys._replace(near=())
-    one = lambda arguments: capturability_of_lanes(*_arguments(common, arguments[0]), gravity, arguments[1])
+    one = lambda arguments: answer(*_arguments(common, arguments[0]), gravity, arguments[1])
     answers = _over_chunks(one, jax.tree.map(lambda x: x[order], (per_state, surveys)))
     return jax.tree.map(lambda x: jnp.zeros_like(x).at[order].set(x), answers)
 
@@ -139,4 +156,4 @@ def _arguments(common, states):
     return (*own, com, com_velocity) if own else (common, com, com_velocity)
 
 
-_compiled = jax.jit(_score_block, static_argnames="neighbours")
+_compiled = jax.jit(answer_block, static_argnames="neighbours")

@@ -4,6 +4,7 @@ The capturable speeds along a direction are one interval, and every decision of 
 speed with an energy integral (see `boundary`). Arrays carry their lanes last.
 """
 
+import functools
 from typing import NamedTuple
 
 import jax
@@ -23,6 +24,11 @@ from jaxcap.walk import Producer, Survey
 
 GRAVITY = (0.0, 0.0, -9.81)
 """[m/s^2], z up."""
+
+LIMITS = ("min_speed", "max_speed")
+"""Fields that do not depend on the speed."""
+WALKED = ("status", "paper_margin", "distance", "time", "residual_speed")
+"""Fields for which the motion itself is followed; the others are comparisons of the speed with a few numbers."""
 
 
 class Line(NamedTuple):
@@ -83,7 +89,42 @@ def capturability_of_lanes(
 ):
     """`capturability` of states side by side, lanes last. survey: from `survey_of_lanes`, if it is known."""
     polygon, speed, finite = _polygon(cone, com, com_velocity, gravity)
-    return _answer(_line(polygon, polygon.survey() if survey is None else survey), speed, finite)
+    line = _line(polygon, polygon.survey() if survey is None else survey)
+    return _answer(line, _speeds(line), speed, finite)
+
+
+@functools.partial(jax.jit, static_argnames="fields")
+def capturability_along(
+    cone: CentroidalCone | ConeRays,
+    com: Num[Array, "3 *n"],
+    along: Num[Array, "3 *n"],
+    gravity,
+    survey=None,
+    *,
+    speeds: Num[Array, "k"],
+    fields: tuple[str, ...],
+) -> dict[str, Array]:
+    """Fields of `capturability` of lines of travel side by side, lanes last, at every one of k speeds [m/s], >= 0.
+
+    along: directions, not zero. `LIMITS` have shape (*n), the other fields (k, *n). Polygon, survey and walk are made once
+    for all speeds. At speed zero the answer is that of a zero velocity, but for `LIMITS`, which are those of the direction.
+    """
+    polygon, _, finite = _polygon(cone, com, along, gravity)
+    line = _line(polygon, polygon.survey() if survey is None else survey)
+    limits = _speeds(line)
+
+    def at(speed):
+        known = finite & jnp.isfinite(speed)
+        speed = jnp.where(known, speed, 0)
+        rests = known & (speed == 0)
+        answer = jax.tree.map(functools.partial(jnp.where, rests), _still(line), _answer(line, limits, speed, known))
+        return {name: getattr(answer, name) for name in fields if name not in LIMITS}
+
+    # Where each speed has loops of its own, side by side all would take as long as the slowest, and skip nothing.
+    answers = jax.lax.map(at, speeds) if set(fields) & set(WALKED) else jax.vmap(at)(speeds)
+    largest = {"min_speed": limits.smallest, "max_speed": limits.largest}
+    answers |= {name: jnp.where(finite & limits.known, largest[name], jnp.nan) for name in LIMITS if name in fields}
+    return answers
 
 
 @jax.jit
@@ -159,8 +200,27 @@ def _case(line: Line, speeds: Speeds, speed):
     )
 
 
-def _answer(line: Line, speed, finite) -> Capturability:
-    speeds = _speeds(line)
+def _still(line: Line) -> Capturability:
+    """The answer at speed zero: the static region of any line through the CoM says whether it can stand where it is."""
+    survey = line.survey
+    stands = survey.known & survey.standing & survey.feasible & (survey.s_min <= 0) & (survey.s_max >= 0)
+    none = jnp.full_like(survey.s_min, jnp.nan)
+    case = jnp.where(stands, Case.C3_1, jnp.where(survey.known, Case.EMPTY, Case.UNDECIDED))
+    return Capturability(
+        capturable=stands,
+        case=case.astype(jnp.int8),
+        status=jnp.where(survey.known, Status.NO_DIRECTION, Status.MAX_STEPS).astype(jnp.int8),
+        margin=none,
+        min_speed=none,
+        max_speed=none,
+        paper_margin=none,
+        distance=jnp.where(stands, 0, none),
+        time=jnp.where(stands, 0, none),
+        residual_speed=jnp.where(survey.known, 0, none),
+    )
+
+
+def _answer(line: Line, speeds: Speeds, speed, finite) -> Capturability:
     case = _case(line, speeds, speed)
     moving, lower = speed > 0, line.lower
     # Where no speed is capturable the margin is minus the whole speed: `largest` is zero.

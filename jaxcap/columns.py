@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 import jaxcap
+from jaxcap.capture_point import Baselines
 from jaxcap.contact_columns import POINTS, RowChoices, RowContacts
 from jaxcap.contact_files import ContactSets
 from jaxcap.contacts import ContactSet
@@ -56,6 +57,14 @@ FIELDS = {
 }
 """The columns that are added to each row: the fields of `Capturability`, in that order."""
 
+BASELINES = {
+    "capture_point_support": Field("m", "signed distance of the capture point to the support polygon; negative outside"),
+    "capture_point_hull": Field(
+        "m", "signed distance of the capture point to the convex hull of the contact points; negative outside"
+    ),
+}
+"""The columns that are added on request: the fields of `capture_point.Baselines`, in that order."""
+
 NAMES = {
     "case": {case.name: case.value for case in Case},
     "status": {status.name.lower(): status.value for status in Status},
@@ -66,36 +75,40 @@ METADATA = "metadata"
 """Name of the NPZ member that holds the metadata."""
 
 
-def output_types(dtype: np.dtype) -> dict[str, np.dtype]:
+def output_types(dtype: np.dtype, fields: Iterable[str] = tuple(FIELDS)) -> dict[str, np.dtype]:
     """NumPy type of each column that is added, with figures in `dtype`."""
     codes = {"capturable": np.dtype(bool), "case": np.dtype(np.int8), "status": np.dtype(np.int8)}
-    return {name: codes.get(name, np.dtype(dtype)) for name in FIELDS}
+    return {name: codes.get(name, np.dtype(dtype)) for name in fields}
 
 
-def output_columns(out: Capturability, dtype: np.dtype) -> dict[str, np.ndarray]:
+def output_columns(answers: Capturability | Baselines, dtype: np.dtype) -> dict[str, np.ndarray]:
     """The columns that are added, on the host."""
-    return {name: np.asarray(getattr(out, name)).astype(kind, copy=False) for name, kind in output_types(dtype).items()}
+    types = output_types(dtype, answers._fields)
+    return {name: np.asarray(getattr(answers, name)).astype(kind, copy=False) for name, kind in types.items()}
 
 
 def describe(
-    contacts: ContactSet | ContactSets | tuple[str, ...], gravity: Iterable[float], sides: int, dtype: np.dtype
+    contacts: ContactSet | ContactSets | tuple[str, ...], gravity: Iterable[float], sides: int, dtype: np.dtype,
+    fields: Mapping[str, Field] = FIELDS, **more: Any,
 ) -> dict[str, Any]:
     """What the output file says about itself: conventions, units, names of codes, what it was computed from.
 
-    contacts: the set of all states, the sets that a column chooses from, or the names of the columns that hold them.
+    contacts: the set of all states, the sets that a column chooses from, or the names of the columns that hold them. fields:
+    the columns that are added. more: what else there is to say.
     """
     own = {} if isinstance(contacts, ContactSet | ContactSets) else {POINTS: "m"}
     return {
         "written_by": f"jaxcap {jaxcap.__version__}",
         "conventions": "one inertial frame for all positions and velocities, z up, SI units; "
         "frames: columns are tangent, tangent, normal pointing at the robot",
-        "units": {"com": "m", "com_velocity": "m/s"} | own | {name: field.unit for name, field in FIELDS.items()},
-        "meanings": {name: field.meaning for name, field in FIELDS.items()},
+        "units": {"com": "m", "com_velocity": "m/s"} | own | {name: field.unit for name, field in fields.items()},
+        "meanings": {name: field.meaning for name, field in fields.items()},
         **NAMES,
         "dtype": np.dtype(dtype).name,
         "gravity": [float(g) for g in gravity],
         "sides": int(sides),
         "contacts": _described(contacts),
+        **more,
     }
 
 

@@ -2,10 +2,11 @@
 
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Literal, NamedTuple
 
 import jax
 import numpy as np
@@ -14,12 +15,15 @@ from tqdm import tqdm
 
 import jaxcap
 from jaxcap.capturability import GRAVITY
-from jaxcap.columns import StateBatch, describe
+from jaxcap.capture_point import baselines as baselines_of
+from jaxcap.columns import BASELINES, FIELDS, StateBatch, describe, refuse_clashes
 from jaxcap.contact_columns import CHOICE, POINTS, BadRows, RowContacts
 from jaxcap.contact_files import ContactSets, read_contact_sets
 from jaxcap.contact_rows import OwnContacts, SharedSets
 from jaxcap.contacts import ContactSet
 from jaxcap.errors import InputError
+from jaxcap.map_command import MAP, map_kernel
+from jaxcap.plot_command import PLOT, plot
 from jaxcap.records import check_output, read_states, write_scores
 from jaxcap.summary import Summary
 
@@ -85,6 +89,14 @@ OUT is Parquet or NPZ: all columns of STATES, and for each state
                      where not capturable, minus the speed left [m/s]
     distance, time   to the stop [m], [s]
     residual_speed   speed left where there is no stop [m/s]
+  and with --baselines, negative outside and infinite for a polygon that is
+  everything or nothing:
+    capture_point_support   distance of the capture point to the support
+                            polygon, where the CoM can stand [m]
+    capture_point_hull      to the convex hull of the contact points [m]
+  The capture point needs a height of the CoM, --height. By default it is
+  that above the mean of the row's contact points; where it is not positive
+  there is no capture point, and both columns are NaN.
   Its metadata holds units, conventions, the names of the numbers, contacts,
   gravity and version, as JSON: the key jaxcap of a Parquet schema, the array
   metadata of an NPZ. OUT is written whole or not at all.
@@ -105,6 +117,9 @@ EXIT CODES
 """
 """What `jaxcap score --help` says above the list of options; its first line also stands in `jaxcap --help`."""
 
+ABOVE_CONTACTS = "of the CoM above the mean of the contact points"
+"""What the metadata say about the default height."""
+
 
 def score(
     states: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="STATES")],
@@ -115,6 +130,8 @@ def score(
     sides: int = 4,
     batch_size: int = 65536,
     neighbours: bool = False,
+    baselines: bool = False,
+    height: Annotated[float | None, tyro.conf.arg(metavar="H")] = None,
     force: bool = False,
 ) -> None:
     """Scores a file of states, writes the answers beside them and prints a summary; see SCORE.
@@ -129,8 +146,14 @@ def score(
         sides: Edges of the pyramid that replaces each friction cone, at least 3.
         batch_size: States that are read, scored and written at a time.
         neighbours: Rows that follow each other are similar states: saves work where each has its own contacts.
+        baselines: Also write how far the capture point lies inside support polygon and hull of the contacts.
+        height: CoM height for the capture point [m]; by default that above the contacts of each row.
         force: Overwrite OUT if it exists.
     """
+    if height is not None and not baselines:
+        raise InputError(f"--height {height} (expected with --baselines, which alone needs it)")
+    if height is not None and not 0 < height < np.inf:
+        raise InputError(f"--height {height} (expected a positive number of metres)")
     if sides < 3:
         raise InputError(f"--sides {sides} (expected at least 3)")
     if batch_size < 1:
@@ -142,10 +165,15 @@ def score(
             print(f"note: {states}: {name!r} is not carried through: not one value for each state", file=sys.stderr)
         described = _contacts(states, source.contacts, contacts, sets)
         size = min(batch_size, source.rows)
+        fields, more = FIELDS, {}
+        if baselines:
+            refuse_clashes(states, source.types, BASELINES)
+            fields, more = FIELDS | BASELINES, {"capture_point_height": ABOVE_CONTACTS if height is None else height}
         scorer = _scorer(described, contacts, size, sides, neighbours)
-        metadata = describe(described, GRAVITY, sides, np.dtype(dtype))
-        with write_scores(output, source.types, metadata, dtype, force=force) as sink:
-            done = _score_all(scorer, source, sink)
+        answer = partial(_answers, scorer, baselines=baselines, height=height)
+        metadata = describe(described, GRAVITY, sides, np.dtype(dtype), fields, **more)
+        with write_scores(output, source.types, metadata, dtype, fields=fields, force=force) as sink:
+            done = _score_all(answer, source, sink)
     if done.note:
         print(f"note: {states}: {done.note}", file=sys.stderr)
     print(done.summary.table())
@@ -153,7 +181,7 @@ def score(
     print(f"\n{rate} ({done.seconds:.2f} s, after {done.compiled:.2f} s of compiling; {dtype}, {jax.default_backend()})")
 
 
-COMMANDS = {"score": (score, SCORE)}
+COMMANDS = {"score": (score, SCORE), "map": (map_kernel, MAP), "plot": (plot, PLOT)}
 
 
 def run(arguments: Sequence[str]) -> None:
@@ -189,25 +217,46 @@ def _contacts(
     return sets.sets[0]
 
 
-def _scorer(contacts, path, size: int, sides: int, neighbours: bool) -> Callable[[StateBatch], tuple[Any, BadRows | None]]:
-    """A function that scores a batch, and says which rows have contacts that cannot be used. size: rows of a full batch."""
+class _OneSet:
+    """Scores batches of rows with the same contacts, as `SharedSets` and `OwnContacts` do others. size: of a full batch.
+
+    Raises ValueError if the faces cannot be computed.
+    """
+
+    def __init__(self, contacts: ContactSet, sides: int, size: int):
+        self._cone, self._contacts, self._size = jaxcap.centroidal_cone(contacts, sides=sides), contacts, size
+
+    def score(self, _, coms, com_velocities):
+        return self._padded(partial(jaxcap.score, self._cone, gravity=GRAVITY), coms, com_velocities), None
+
+    def baselines(self, _, coms, com_velocities, height):
+        one = partial(baselines_of, self._cone, self._contacts, height=height, gravity=GRAVITY)
+        return self._padded(one, coms, com_velocities)
+
+    def _padded(self, one, coms, com_velocities):
+        """Waits for the answers. Zeros fill up to `size` rows, so that the last batch needs no compiling."""
+        n = len(coms)
+        padding = ((0, self._size - n), (0, 0))
+        out = one(np.pad(coms, padding), np.pad(com_velocities, padding))
+        return jax.tree.map(lambda field: np.asarray(field)[:n], out)
+
+
+def _scorer(contacts, path, size: int, sides: int, neighbours: bool) -> _OneSet | SharedSets | OwnContacts:
+    """What scores batches, whatever the contacts are. size: rows of a full batch."""
     if isinstance(contacts, ContactSet):
         try:
-            cone = jaxcap.centroidal_cone(contacts, sides=sides)
+            return _OneSet(contacts, sides, size)
         except ValueError as error:
             raise InputError(f"{path}: {error}") from error
-        return lambda batch: (_score(cone, batch.coms, batch.com_velocities, size), None)
     options = {"sides": sides, "gravity": GRAVITY, "neighbours": neighbours}
-    scorer = SharedSets(*contacts, **options) if isinstance(contacts, ContactSets) else OwnContacts(**options)
-    return lambda batch: scorer.score(batch.contacts, batch.coms, batch.com_velocities)
+    return SharedSets(*contacts, **options) if isinstance(contacts, ContactSets) else OwnContacts(**options)
 
 
-def _score(cone, coms, com_velocities, size: int):
-    """Scores, and waits for the answers. Zeros fill up to `size` rows, so that the last batch needs no compiling."""
-    n = len(coms)
-    padding = ((0, size - n), (0, 0))
-    out = jaxcap.score(cone, np.pad(coms, padding), np.pad(com_velocities, padding), gravity=GRAVITY)
-    return jax.tree.map(lambda field: np.asarray(field)[:n], out)
+def _answers(scorer, batch: StateBatch, baselines: bool, height: float | None) -> tuple[tuple, BadRows | None]:
+    """The scores of a batch, perhaps the baselines, and the rows whose contacts cannot be used."""
+    rows = batch.contacts, batch.coms, batch.com_velocities
+    out, bad = scorer.score(*rows)
+    return ((out, scorer.baselines(*rows, height)) if baselines else (out,)), bad
 
 
 class _Run(NamedTuple):
@@ -222,7 +271,7 @@ class _Run(NamedTuple):
     """How many rows have contacts that cannot be used, and why the first; empty if there are none."""
 
 
-def _score_all(score, source, sink) -> _Run:
+def _score_all(answer, source, sink) -> _Run:
     """Scores and writes every batch."""
     summary, seconds, compiled, widest, unusable, first = Summary(), 0.0, 0.0, -1, 0, ""
     with tqdm(total=source.rows, unit=" states", unit_scale=True, disable=not sys.stderr.isatty()) as bar:
@@ -230,23 +279,23 @@ def _score_all(score, source, sink) -> _Run:
             width = batch.contacts.mask.shape[1] if isinstance(batch.contacts, RowContacts) else 0
             if width > widest:  # compiles, by scoring states that are soon done with
                 widest = width
-                compiled += _timed(score, batch._replace(coms=np.full_like(batch.coms, np.nan)))[1]
-            (out, bad), spent = _timed(score, batch)
+                compiled += _timed(answer, batch._replace(coms=np.full_like(batch.coms, np.nan)))[1]
+            (answers, bad), spent = _timed(answer, batch)
             seconds += spent
             if bad is not None and bad.rows.any():
                 first = first or f"first row {summary.states + bad.first}: {bad.why}"
                 unusable += int(bad.rows.sum())
-            sink.write(batch.columns, out)
-            summary.add(out)
+            sink.write(batch.columns, *answers)
+            summary.add(answers[0])
             bar.update(len(batch.coms))
     note = f"the contacts of {unusable} rows cannot be used, these have status nonfinite; {first}" if unusable else ""
     return _Run(summary, seconds, compiled, note)
 
 
-def _timed(score, batch: StateBatch):
+def _timed(answer, batch: StateBatch):
     """The answers for a batch, and the time they took [s]."""
     start = time.perf_counter()
-    return score(batch), time.perf_counter() - start
+    return answer(batch), time.perf_counter() - start
 
 
 @contextmanager

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Sequence
 from functools import partial
+from typing import NamedTuple
 
 import jax
 import numpy as np
@@ -9,6 +10,7 @@ from jaxtyping import Float, Int
 
 from jaxcap.batch import BLOCK, score
 from jaxcap.capturability import GRAVITY
+from jaxcap.capture_point import Baselines, baselines
 from jaxcap.cone import CentroidalCone, ConeRays, centroidal_cone, cone_rays
 from jaxcap.contact_columns import CHOICE, MULTIPLE, BadRows, RowChoices, RowContacts
 from jaxcap.contacts import ContactSet
@@ -42,13 +44,30 @@ class OwnContacts:
         contacts: from `StateBatch.contacts`, or `contact_columns.from_arrays`. coms: (n, 3) [m]. com_velocities: (n, 3)
         [m/s]. The dtype of the last two decides the precision. Rows without a contact are `Case.EMPTY`.
         """
+        sets, bad = self._sets(contacts, coms)
+        coms = np.where(bad.rows[:, None], np.nan, coms)
+        rays = _rays(sets, self._sides)
+        return _score(rays, coms, com_velocities, self._rows, self._gravity, self._neighbours), bad
+
+    def baselines(
+        self, contacts: RowContacts, coms: Float[np.ndarray, "n 3"], com_velocities: Float[np.ndarray, "n 3"],
+        height: float | None = None,
+    ) -> Baselines:
+        """`capture_point.baselines` on the host (n,); NaN for rows whose contacts cannot be used. Arguments as for `score`.
+
+        height: of the CoM in (14) [m]; by default above each row's contacts.
+        """
+        sets, bad = self._sets(contacts, coms)
+        coms = np.where(bad.rows[:, None], np.nan, coms)
+        return _baselines(_rays(sets, self._sides), sets, coms, com_velocities, self._rows, height, self._gravity)
+
+    def _sets(self, contacts: RowContacts, coms) -> tuple[ContactSet, BadRows]:
+        """Contact sets of the dtype of the CoMs and of the largest size so far."""
         self._contacts = max(self._contacts, contacts.mask.shape[1])
         self._rows = max(self._rows, min(BLOCK, len(coms)))
         *fields, bad = contacts.padded(self._contacts)
         fields = [x if x.dtype == bool else x.astype(coms.dtype, copy=False) for x in fields]
-        rays = _rays(ContactSet.tree_unflatten(None, fields), self._sides)  # unflatten: the values were checked already
-        coms = np.where(bad.rows[:, None], np.nan, coms)
-        return _score(rays, coms, com_velocities, self._rows, self._gravity, self._neighbours), bad
+        return ContactSet.tree_unflatten(None, fields), bad  # unflatten: the values were checked already
 
 
 class SharedSets:
@@ -67,7 +86,7 @@ class SharedSets:
         self._numbers = {name: i for i, name in enumerate(names or ()) if name is not None}
         size = -(-max(1, *map(len, sets)) // MULTIPLE) * MULTIPLE
         stacked = jax.tree.map(lambda *leaves: np.stack(leaves), *(contacts.padded(size) for contacts in sets))
-        self._rays = jax.tree.map(np.asarray, _rays(stacked, sides))
+        self._stacked, self._rays = stacked, jax.tree.map(np.asarray, _rays(stacked, sides))
         self._cones: dict[int, CentroidalCone | None] = {}
         self._rows = 1
 
@@ -95,23 +114,43 @@ class SharedSets:
         choices: from `StateBatch.contacts`, or `contact_columns.chosen`. coms: (n, 3) [m]. com_velocities: (n, 3) [m/s].
         The dtype of the last two decides the precision. Rows that choose an empty set are `Case.EMPTY`.
         """
+        parts, bad = self._parts(choices, coms)
+        coms = np.where(bad.rows[:, None], np.nan, coms)
+        outs = [
+            _score(cone, coms[rows], com_velocities[rows], self._rows, self._gravity, self._neighbours)
+            for rows, cone, _ in parts
+        ]
+        return _in_order(parts, outs), bad
+
+    def baselines(
+        self, choices: RowChoices, coms: Float[np.ndarray, "n 3"], com_velocities: Float[np.ndarray, "n 3"],
+        height: float | None = None,
+    ) -> Baselines:
+        """`capture_point.baselines` on the host (n,); NaN for rows whose choice cannot be used. Arguments as for `score`.
+
+        height: of the CoM in (14) [m]; by default above each set's contacts.
+        """
+        parts, bad = self._parts(choices, coms)
+        coms = np.where(bad.rows[:, None], np.nan, coms)
+        outs = [
+            _baselines(cone, sets, coms[rows], com_velocities[rows], self._rows, height, self._gravity)
+            for rows, cone, sets in parts
+        ]
+        return _in_order(parts, outs)
+
+    def _parts(self, choices: RowChoices, coms) -> tuple[list["_Part"], BadRows]:
+        """The rows of each set that many choose, and the rest."""
         numbers, bad = self.choose(choices)
         counts = np.bincount(numbers[~bad.rows], minlength=len(self._sets))
         numbers[bad.rows] = np.argmax(counts)  # they go along with others, and call for no program of their own
-        coms = np.where(bad.rows[:, None], np.nan, coms)
         self._rows = max(self._rows, min(BLOCK, len(coms)))
         cones = {i: cone for i in np.flatnonzero(counts >= MANY).tolist() if (cone := self._cone(i)) is not None}
-        parts = [(np.flatnonzero(numbers == i), cone) for i, cone in cones.items()]
+        parts = [_Part(np.flatnonzero(numbers == i), cone, self._sets[i]) for i, cone in cones.items()]
         rest = np.flatnonzero(~np.isin(numbers, list(cones)))
         if len(rest) or not parts:
             own = lambda x: x[numbers[rest]].astype(coms.dtype if x.dtype != bool else bool)
-            parts.append((rest, jax.tree.map(own, self._rays)))
-        outs = [
-            _score(cone, coms[rows], com_velocities[rows], self._rows, self._gravity, self._neighbours)
-            for rows, cone in parts
-        ]
-        order = np.argsort(np.concatenate([rows for rows, _ in parts]))
-        return jax.tree.map(lambda *fields: np.concatenate(fields)[order], *outs), bad
+            parts.append(_Part(rest, *jax.tree.map(own, (self._rays, self._stacked))))
+        return parts, bad
 
     def _cone(self, number: int) -> CentroidalCone | None:
         """The faces of a set, or None where the projection fails: its rays serve as well."""
@@ -126,6 +165,22 @@ class SharedSets:
         return self._cones[number]
 
 
+class _Part(NamedTuple):
+    """Rows of a batch that are scored in one call."""
+
+    rows: Int[np.ndarray, " k"]
+    cone: CentroidalCone | ConeRays
+    """Of all of them, or rays of each."""
+    contacts: ContactSet
+    """The same."""
+
+
+def _in_order(parts: list[_Part], outs: list):
+    """The answers for all parts, row by row."""
+    order = np.argsort(np.concatenate([part.rows for part in parts]))
+    return jax.tree.map(lambda *fields: np.concatenate(fields)[order], *outs)
+
+
 @partial(jax.jit, static_argnames="sides")
 def _rays(contacts: ContactSet, sides: int) -> ConeRays:
     return cone_rays(contacts, sides)
@@ -137,13 +192,24 @@ def _no_wrench() -> CentroidalCone:
 
 
 def _score(cone, coms, com_velocities, rows: int, gravity, neighbours: bool) -> Capturability:
-    """Scores on the host. Zeros fill up to a multiple of `rows`, to repeat few shapes; neighbours count for rays alone."""
-    n = len(coms)
-    fill = lambda x: np.pad(x, ((0, -n % rows), *[(0, 0)] * (x.ndim - 1))) if n % rows else x
+    """Scores on the host; neighbours count for rays alone."""
     own = isinstance(cone, ConeRays)
-    cone, neighbours = (jax.tree.map(fill, cone), neighbours) if own else (cone, False)
-    out = score(cone, fill(coms), fill(com_velocities), gravity=gravity, neighbours=neighbours)
-    return jax.tree.map(lambda field: np.asarray(field)[:n], out)
+    states = _filled((coms, com_velocities), rows)
+    out = score(_filled(cone, rows) if own else cone, *states, gravity=gravity, neighbours=neighbours and own)
+    return jax.tree.map(lambda field: np.asarray(field)[: len(coms)], out)
+
+
+def _baselines(cone, contacts, coms, com_velocities, rows: int, height, gravity) -> Baselines:
+    """The same for `baselines`. The cone is one for all rows, as are the contacts, or rays of each."""
+    sets = _filled((cone, contacts), rows) if isinstance(cone, ConeRays) else (cone, contacts)
+    out = baselines(*sets, *_filled((coms, com_velocities), rows), height, gravity)
+    return jax.tree.map(lambda field: np.asarray(field)[: len(coms)], out)
+
+
+def _filled(tree, rows: int):
+    """With zeros up to a multiple of `rows`, to repeat few shapes."""
+    fill = lambda x: np.pad(x, ((0, -len(x) % rows), *[(0, 0)] * (x.ndim - 1))) if len(x) % rows else x
+    return jax.tree.map(fill, tree)
 
 
 def _listed(names: Iterable[str]) -> str:

@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from jaxcap import arrow_contacts
 from jaxcap.arrow_columns import arrow_field, is_list, is_number, numbers, to_arrow, vectors
-from jaxcap.columns import FIELDS, NAMES, VECTORS, StateBatch, refuse_clashes, spelling, to_json
+from jaxcap.columns import NAMES, VECTORS, StateBatch, refuse_clashes, spelling, to_json
 from jaxcap.contact_columns import CHOICE, RowChoices, RowContacts, agree, contact_columns
 from jaxcap.errors import InputError
 from jaxcap.state_file import StateFile
@@ -94,7 +94,7 @@ class ParquetWriter:
 
     def __init__(self, handle: BinaryIO, types: Mapping[str, Any], metadata: Mapping[str, Any]):
         fields = [
-            arrow_field(name, kind, _about(name)) if isinstance(kind, np.dtype) else kind
+            arrow_field(name, kind, _about(name, metadata)) if isinstance(kind, np.dtype) else kind
             for name, kind in types.items()
         ]
         self._schema = pa.schema(fields, metadata={"jaxcap": to_json(metadata)})
@@ -149,11 +149,11 @@ def _whole(column: pa.ChunkedArray) -> pa.Array:
     return chunks[0] if len(chunks) == 1 else pa.concat_arrays(chunks)
 
 
-def _about(name: str) -> dict[str, str] | None:
+def _about(name: str, metadata: Mapping[str, Any]) -> dict[str, str] | None:
     """Metadata of a field of the output: unit, meaning, names of codes."""
-    if name not in FIELDS:
+    if name not in metadata["meanings"]:
         return None
-    about = {"unit": FIELDS[name].unit, "meaning": FIELDS[name].meaning}
+    about = {"unit": metadata["units"][name], "meaning": metadata["meanings"][name]}
     return about | ({"names": to_json(NAMES[name])} if name in NAMES else {})
 
 

@@ -4,12 +4,15 @@ import os
 import secrets
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from functools import reduce
+from operator import or_
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 
-from jaxcap.columns import output_columns, output_types
+from jaxcap.capture_point import Baselines
+from jaxcap.columns import FIELDS, output_columns, output_types
 from jaxcap.errors import InputError, needs_extra
 from jaxcap.npz import NpzStates, NpzWriter
 from jaxcap.result import Capturability
@@ -80,27 +83,29 @@ class ScoreWriter:
     def __init__(self, writer: "ParquetWriter | NpzWriter", dtype: np.dtype):
         self._writer, self._dtype = writer, dtype
 
-    def write(self, columns: Mapping[str, Any], out: Capturability) -> None:
-        """Appends n rows. columns: `StateBatch.columns`. out: their scores, arrays (n,)."""
-        self._writer.write({**columns, **output_columns(out, self._dtype)})
+    def write(self, columns: Mapping[str, Any], *answers: Capturability | Baselines) -> None:
+        """Appends n rows. columns: `StateBatch.columns`. answers: their scores and what else was asked for, arrays (n,)."""
+        added = [output_columns(answer, self._dtype) for answer in answers]
+        self._writer.write(reduce(or_, added, dict(columns)))
 
 
 @contextmanager
 def write_scores(
-    path: str | Path, types: Mapping[str, Any], metadata: Mapping[str, Any], dtype=np.float32, *, force: bool = False
+    path: str | Path, types: Mapping[str, Any], metadata: Mapping[str, Any], dtype=np.float32, *,
+    fields: Iterable[str] = tuple(FIELDS), force: bool = False,
 ) -> Iterator[ScoreWriter]:
     """Writes a Parquet or NPZ file of scores, in a `with` block. The file appears when the block ends without an error.
 
     types: the columns carried through, as `read_states` gives them. metadata: see `columns.describe`; stored as JSON
-    under the key `jaxcap` of the Parquet schema, or as the NPZ array `metadata`. dtype: of the figures. force: replace
-    a file that is there. Memory does not grow with the number of rows.
+    under the key `jaxcap` of the Parquet schema, or as the NPZ array `metadata`. dtype: of the figures. fields: the
+    columns that are added. force: replace a file that is there. Memory does not grow with the number of rows.
 
     Raises InputError if the file cannot be written, also for a full disk, or cannot hold a column. Then, and for any
     other exception, `path` is left as it was. A process that is killed may leave a file `.jaxcap-*.tmp` beside it.
     """
     path = Path(path)
     extension = _extension(path)
-    types = {**types, **output_types(np.dtype(dtype))}
+    types = {**types, **output_types(np.dtype(dtype), fields)}
     with whole_file(path, force=force) as handle:
         if extension == ".npz":
             writer = NpzWriter(handle, Path(os.path.realpath(path)).parent, types, metadata)

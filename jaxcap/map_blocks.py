@@ -1,0 +1,179 @@
+"""Answers all over a grid: regions for the file, blocks for the cores, chunks for the cache.
+
+A region is a box of the grid, small enough to be held in memory several times; it becomes one chunk of every variable of
+the file. Its lines of travel are numbered, and a block of them is unravelled, looked up and answered on the device. Each is
+answered at all speeds of the region.
+"""
+
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from functools import partial
+from itertools import chain
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Int
+
+from jaxcap.batch import BLOCK, LANES, answer_block, padded_cone, side_by_side
+from jaxcap.capturability import LIMITS, capturability_along, capturability_of_lanes
+from jaxcap.cone import CentroidalCone, ConeRays
+from jaxcap.grid import Grid, look_up
+
+REGION = 1 << 20
+"""Most states of a region: a few megabytes of each figure."""
+SPEEDS = 1 << 9
+"""Most speeds of a region: more would save nothing."""
+AHEAD = 4
+"""Blocks that are begun beyond the one that is waited for."""
+
+
+class Region(NamedTuple):
+    """A box of the grid."""
+
+    number: int
+    """In the order of the grid's dimensions, the last one fastest."""
+    slices: dict[str, slice]
+    """For each dimension, its part."""
+
+    def shape(self, dims: Iterable[str]) -> tuple[int, ...]:
+        """Number of values along these dimensions."""
+        return tuple(self.slices[name].stop - self.slices[name].start for name in dims)
+
+
+class Regions(NamedTuple):
+    """How a grid is divided."""
+
+    sizes: dict[str, int]
+    """Values along each dimension."""
+    steps: dict[str, int]
+    """Values of a region along each dimension; the last region may have fewer."""
+
+    @property
+    def counts(self) -> tuple[int, ...]:
+        """Regions along each dimension."""
+        return tuple(-(-self.sizes[name] // step) for name, step in self.steps.items())
+
+    def __len__(self) -> int:
+        return math.prod(self.counts)
+
+    def region(self, number: int) -> Region:
+        """The region with this number."""
+        places = np.unravel_index(number, self.counts) if self.steps else ()
+        first = {name: int(place) * step for (name, step), place in zip(self.steps.items(), places, strict=True)}
+        last = {name: min(start + self.steps[name], self.sizes[name]) for name, start in first.items()}
+        return Region(number, {name: slice(first[name], last[name]) for name in first})
+
+
+def regions(grid: Grid) -> Regions:
+    """Regions of at most REGION states: the longest dimension is halved until they are, and speeds stay together."""
+    sizes = dict(zip(grid.dims, grid.shape, strict=True))
+    parts = {name: -(-size // SPEEDS) if name == "speed" else 1 for name, size in sizes.items()}
+    step = lambda name: -(-sizes[name] // parts[name])
+    while math.prod(map(step, sizes)) > REGION:
+        longest = max((name for name in sizes if name != "speed"), key=step)
+        parts[longest] *= 2
+    return Regions(sizes, {name: step(name) for name in sizes})
+
+
+class Answers:
+    """The answers over a grid, region by region.
+
+    cone: of one contact set. quantities: fields of `Capturability`; without a speed in the grid, `LIMITS` only. gravity:
+    (3,) [m/s^2]. dtype: of the computation.
+    """
+
+    def __init__(self, cone: CentroidalCone | ConeRays, grid: Grid, quantities: tuple[str, ...], gravity, dtype):
+        self.grid, self.quantities, self.regions = grid, quantities, regions(grid)
+        self._names = tuple(name for name in grid.axes if name != "speed" or not grid.polar)
+        self._dims = tuple(name for name in grid.dims if name in self._names)
+        tables = grid.tables(dtype)
+        self._speeds = tables.pop("speed", np.zeros(0, dtype)) if grid.polar else None
+        lines = math.prod(self.regions.region(0).shape(self._dims))
+        blocks = -(-lines // BLOCK)
+        self._block = -(-lines // (blocks * LANES)) * LANES
+        arguments = (jax.tree.map(jnp.asarray, padded_cone(cone)), jax.tree.map(jnp.asarray, tables))
+        self._arguments = (*arguments, jnp.asarray(gravity, dtype))
+
+    def dims(self, quantity: str) -> tuple[str, ...]:
+        """The dimensions of a quantity: those of the grid, without the speed where it does not depend on that."""
+        return self._dims if self.grid.polar and quantity in LIMITS else self.grid.dims
+
+    def states(self, region: Region) -> int:
+        """How many points of the grid lie in it."""
+        return math.prod(region.shape(self.grid.dims))
+
+    def place(self, region: Region, quantity: str) -> tuple[slice, ...]:
+        """The part of a quantity's array that belongs to the region."""
+        return tuple(region.slices[name] for name in self.dims(quantity))
+
+    def over(self, numbers: Sequence[int]) -> Iterator[tuple[Region, dict[str, np.ndarray]]]:
+        """These regions, in order, and their quantities, arrays with the dimensions that `dims` says. While a region is in
+        the hands of the caller, blocks of the next are being computed.
+        """
+        chosen = map(self.regions.region, numbers)
+        starts = lambda region: range(0, math.prod(region.shape(self._dims)), self._block)
+        items, blocks = chain.from_iterable(((region, start) for start in starts(region)) for region in chosen), []
+        if numbers:
+            jax.block_until_ready(self._answered(self.regions.region(0), 0))   # compiles, once for all threads
+        for region, block in side_by_side(lambda item: (item[0], self._answered(*item)), items, ahead=AHEAD):
+            blocks.append(block)
+            if len(blocks) == len(starts(region)):
+                yield region, {name: self._assembled(region, name, blocks) for name in self.quantities}
+                blocks = []
+
+    def _answered(self, region: Region, start: int) -> dict[str, Array]:
+        """The quantities of the block of a region that begins with this line."""
+        options = {"names": self._names, "size": self._block, "fields": self.quantities}
+        return _compiled(*self._arguments, *self._of(region, start), **options)
+
+    def _of(self, region: Region, start: int) -> tuple:
+        """What the program has to know of a block: where its region and the block begin, the region's shape, its speeds."""
+        whole = {name: region.slices.get(name, slice(0, 1)) for name in self._names}
+        first = np.array([part.start for part in whole.values()], np.int32)
+        shape = np.array([part.stop - part.start for part in whole.values()], np.int32)
+        if self._speeds is None:
+            return np.int32(start), first, shape, None
+        part, step = region.slices.get("speed", slice(0, None)), self.regions.steps.get("speed", 0)
+        speeds = self._speeds[part]
+        return np.int32(start), first, shape, np.pad(speeds, (0, max(step - len(speeds), 0)))
+
+    def _assembled(self, region: Region, name: str, blocks: list[dict[str, Array]]) -> np.ndarray:
+        """A quantity of a region from those of its blocks."""
+        shape, dims = region.shape(self._dims), self.dims(name)
+        values = np.concatenate([block[name] for block in blocks])[: math.prod(shape)]
+        if "speed" in dims:
+            at_speeds = values[:, : region.shape(["speed"])[0]].reshape(*shape, -1)
+            return np.ascontiguousarray(np.moveaxis(at_speeds, -1, dims.index("speed")))
+        return values.reshape(shape)   # drops the axis of a single speed
+
+
+def _answers(cone, tables, gravity, start, first, shape, speeds, *, names, size: int, fields: tuple[str, ...]):
+    """The fields of one block of lines of travel."""
+    index = jnp.minimum(start + jnp.arange(size, dtype=jnp.int32), jnp.prod(shape, dtype=jnp.int32) - 1)
+    places = first[:, None] + _unravelled(index, shape)
+    com, along = look_up(tables, dict(zip(names, places, strict=True)))
+    if speeds is None:
+        answer = partial(_of_states, fields=fields)
+    else:
+        answer = partial(capturability_along, speeds=speeds, fields=fields)
+    return answer_block(cone, (com.T, along.T), gravity, answer=answer)
+
+
+def _of_states(cone, com, com_velocity, gravity, survey=None, *, fields: tuple[str, ...]):
+    """Fields of `capturability_of_lanes`."""
+    answer = capturability_of_lanes(cone, com, com_velocity, gravity, survey)
+    return {name: getattr(answer, name) for name in fields}
+
+
+def _unravelled(index: Int[Array, " n"], shape: Int[Array, " d"]) -> Int[Array, "d n"]:
+    """Indices along each axis, of points counted with the last axis fastest."""
+    places = []
+    for size in shape[::-1]:
+        places.append(index % size)
+        index = index // size
+    return jnp.stack(places[::-1])
+
+
+_compiled = jax.jit(_answers, static_argnames=("names", "size", "fields"))

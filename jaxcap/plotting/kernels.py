@@ -1,0 +1,248 @@
+"""Slices of a map, as filled contours with the zero level drawn; where there is no number, the picture says so."""
+
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float
+from matplotlib.axes import Axes
+from matplotlib.colors import BoundaryNorm, ListedColormap
+from matplotlib.patches import Patch
+from matplotlib.ticker import MaxNLocator
+
+from jaxcap.plotting.style import BLUE, DARK, GREY, ORANGE, RED, axes_or_new, halo
+from jaxcap.result import Case, Status
+
+LEVELS = 12
+"""Contours, more or less."""
+OUTLIERS = 0.98
+"""Where the largest figures are far above the rest, colours end at this quantile."""
+FAR = 2.0
+"""How far above: this many times that quantile."""
+BESIDE = (1.03, 0.0, 0.045, 1.0)
+"""Place of the colour bar, relative to the axes: as high as they are, whatever their aspect."""
+EMPTY = "#e8e8e8"
+"""Colour of the area where a field that is nowhere negative is zero."""
+NAMES = {
+    "margin": "margin",
+    "min_speed": "smallest capturable speed",
+    "max_speed": "largest capturable speed",
+    "paper_margin": "margin of the paper",
+    "distance": "distance to the stop",
+    "time": "time to the stop",
+    "residual_speed": "speed that is left",
+    "heading": "heading",
+    "pitch": "pitch",
+    "speed": "CoM speed",
+}
+"""What stands beside an axis or a colour bar, where the map's own `long_name` is too long for that."""
+CODES = {
+    "capturable": {False: ("falls, or has to step", EMPTY), True: ("capturable", BLUE)},
+    "case": {
+        Case.UNDECIDED: ("undecided", "#ffffff"),
+        Case.C1: ("C1: diverges", "#f4cf8f"),
+        Case.C2: ("C2: leaves the polygon", ORANGE),
+        Case.C3_1: ("C3_1: stops", BLUE),
+        Case.C3_2_1: ("C3_2_1: reaches S", "#5f9fcf"),
+        Case.C3_2_2: ("C3_2_2: falls back", "#b0653a"),
+        Case.C3_3: ("C3_3: swings", "#083050"),
+        Case.EMPTY: ("EMPTY: no S", "#cccccc"),
+    },
+    "status": {
+        Status.OK: ("OK", EMPTY),
+        Status.NO_DIRECTION: ("NO_DIRECTION", "#9ec5e6"),
+        Status.MAX_STEPS: ("MAX_STEPS", RED),
+        Status.MAX_SWINGS: ("MAX_SWINGS", BLUE),
+        Status.NONFINITE: ("NONFINITE", DARK),
+    },
+}
+"""Name and colour of the values of fields that are codes. S: the static region."""
+
+
+def kernel_slice(
+    dataset,
+    quantity: str = "max_speed",
+    *,
+    x: str = "com_x",
+    y: str = "com_y",
+    levels: Any = None,
+    bar: bool = True,
+    ax: Axes | None = None,
+    **selection: float,
+) -> Axes:
+    """A plane of a map: a field of `Capturability` over two of its axes.
+
+    dataset: an xarray.Dataset from `jaxcap.maps`, or one like it: the coordinates and `quantity` with attributes `units` and
+    `long_name`. x, y: names of the axes of the picture. selection: a value for each other axis of the map, of which the
+    nearest grid point is taken. levels: of the contours, in the field's unit, or about how many. bar: draw the colour bar.
+
+    The zero level is a thick line, and contours below it are dashed. A field that is nowhere negative is grey where it is
+    zero, as far as the cell beside, where the others, continued in a straight line, would vanish. Infinite figures are
+    hatched, and so is, in another way, whatever is no number; the legend says why. `capturable`, `case` and `status` are
+    areas of colour.
+
+    Returns the axes. Raises ValueError, naming the axis or field, for what the dataset does not hold, an axis that is left
+    over, or a value outside of the grid.
+    """
+    plane = at_selection(dataset, quantity, (x, y), selection)
+    ax = axes_or_new(ax, (7.0, 5.0))
+    across, along = np.asarray(plane[x], float), np.asarray(plane[y], float)
+    values = np.asarray(plane[quantity].transpose(y, x))
+    if quantity in CODES:
+        _draw_codes(ax, across, along, values, quantity)
+    else:
+        gaps, label = _gaps(plane, quantity, x, y), _label(plane[quantity])
+        _draw_figures(ax, across, along, values.astype(float), gaps, label, levels, bar)
+    same = plane[x].attrs.get("units") == plane[y].attrs.get("units")
+    ax.set(xlabel=_label(plane[x]), ylabel=_label(plane[y]), aspect="equal" if same else "auto", title=_place(plane))
+    ax.set(xlim=np.sort(across)[[0, -1]], ylim=np.sort(along)[[0, -1]])
+    return ax
+
+
+def at_selection(dataset, quantity: str, kept: tuple[str, ...], selection: dict[str, float]):
+    """The part of a map with these axes only: the others at the grid points nearest to their values.
+
+    Raises ValueError, naming the axis or field, for what the dataset does not hold, an axis that is left over, or a value
+    outside of the grid.
+    """
+    if quantity not in dataset.data_vars:
+        raise ValueError(f"{quantity!r} is not in the map (it holds {', '.join(map(str, dataset.data_vars)) or 'nothing'})")
+    if len(set(kept)) < len(kept):
+        raise ValueError(f"the axis {kept[0]} is asked for twice (expected two axes of the map)")
+    axes = [str(name) for name in dataset[quantity].dims]
+    for name in (*kept, *selection):
+        if name not in axes:
+            raise ValueError(f"{name!r} is not an axis of {quantity} (expected one of {', '.join(axes) or 'none'})")
+    for name in kept:
+        if name in selection:
+            raise ValueError(f"{name} is an axis of the picture (expected no value for it)")
+        if dataset.sizes[name] < 2:
+            raise ValueError(f"{name} has {dataset.sizes[name]} grid point (expected at least 2)")
+    for name in axes:
+        grid = np.sort(np.asarray(dataset[name], float))
+        reach = f"from {grid[0]:g} to {grid[-1]:g}"
+        if name not in (*kept, *selection):
+            raise ValueError(f"no value for the axis {name} (expected one {reach})")
+        step = np.diff(grid).max(initial=0)
+        if name in selection and not grid[0] - step <= selection[name] <= grid[-1] + step:
+            raise ValueError(f"{name} = {selection[name]:g} is not on the grid (expected {reach})")
+    return dataset.sel(selection, method="nearest")
+
+
+def _gaps(plane, quantity: str, x: str, y: str) -> dict[str, Bool[np.ndarray, "n m"]]:
+    """Where the field is no number, and why."""
+    missing = np.isnan(np.asarray(plane[quantity].transpose(y, x), float))
+    why = "no stop" if quantity in ("distance", "time") else "no value"
+    if "status" not in plane or set(plane["status"].dims) != {x, y}:
+        return {why: missing}
+    status = np.asarray(plane["status"].transpose(y, x))
+    undecided = missing & np.isin(status, [Status.MAX_STEPS, Status.NONFINITE])
+    still = missing & (status == Status.NO_DIRECTION) & (why == "no value")
+    return {"undecided": undecided, "at rest": still, why: missing & ~undecided & ~still}
+
+
+def _draw_figures(ax, across, along, values: Float[np.ndarray, "n m"], gaps, label: str, levels, bar: bool) -> None:
+    finite = values[np.isfinite(values)]
+    endless = np.isposinf(values)
+    signs = {"at any speed": (endless, {"facecolor": "#fff7dc", "edgecolor": ORANGE, "hatch": "//"})}
+    hatches = iter(("..", "xx", "\\\\"))
+    signs |= {why: (where, {"facecolor": "white", "edgecolor": GREY, "hatch": next(hatches)}) for why, where in gaps.items()}
+    handles = []
+    for why, (where, style) in signs.items():
+        if not where.any():
+            continue
+        # every cell that touches such a point: contours of the rest leave them out
+        touched = where.astype(float), [1e-9, 1]
+        area = ax.contourf(across, along, *touched, colors=[style["facecolor"]], hatches=[style["hatch"]], zorder=1)
+        area.set(edgecolor=style["edgecolor"], linewidth=0)
+        handles.append(Patch(label=why, linewidth=0, **style))
+    if len(finite):
+        levels, extend = _levels(finite, levels)
+        shown = np.ma.masked_invalid(values)
+        filled = ax.contourf(across, along, shown, levels, cmap="cividis", extend=extend, zorder=2)
+        if bar:
+            ax.figure.colorbar(filled, cax=ax.inset_axes(BESIDE), label=label)
+        thin = levels[levels != 0]
+        ax.contour(across, along, shown, thin, colors="white", linewidths=0.5, negative_linestyles="dashed", zorder=3)
+        if (finite <= 0).any() and (values > 0).any():
+            handles += _draw_zero(ax, across, along, values)
+    if handles:
+        ax.legend(handles=handles, loc="upper right", framealpha=0.9).set_zorder(8)
+
+
+def _draw_zero(ax, across, along, values) -> list[Patch]:
+    """The zero level. Of a field that is nowhere negative, the area where it is zero, with what the legend says of it."""
+    never_negative = np.nanmin(values) == 0
+    signed = _continued(values) if never_negative else values
+    signed = np.ma.masked_invalid(np.where(np.isposinf(values), 1.0, signed))
+    if never_negative:
+        ax.contourf(across, along, signed, [-np.inf, 0], colors=[EMPTY], zorder=3)
+    handles = [Patch(facecolor=EMPTY, label="zero")] if never_negative else []
+    zero = ax.contour(across, along, signed, [0], colors="black", linewidths=2.2, zorder=4)
+    zero.set_path_effects(halo(4))
+    return handles
+
+
+def _continued(values: Float[np.ndarray, "n m"]) -> Float[np.ndarray, "n m"]:
+    """A field that is nowhere negative, its zeros replaced by what the neighbours on either side, continued in a straight
+    line, would have there: so its zero level is as straight as the field, and does not leave the cell that it is in.
+
+    Where that would not be negative, as at a jump, the level is in the middle between the grid points.
+    """
+    finite = np.where(np.isfinite(values), values, 0)
+    total, count = np.zeros_like(finite), np.zeros_like(finite)
+    for axis in (0, 1):
+        for step in (1, -1):
+            near, far = (_shifted(finite, n * step, axis) for n in (1, 2))
+            beyond = np.where((far > 0) & (2 * near < far), 2 * near - far, -near)
+            total += np.where(near > 0, beyond, 0)
+            count += near > 0
+    return np.where(values == 0, np.where(count > 0, total / np.maximum(count, 1), -1), values)
+
+
+def _shifted(values, step: int, axis: int):
+    """The values `step` grid points further on, zero beyond the edge."""
+    out = np.roll(values, -step, axis)
+    edge = [slice(None)] * 2
+    edge[axis] = slice(-step, None) if step > 0 else slice(None, -step)
+    out[tuple(edge)] = 0
+    return out
+
+
+def _levels(finite, levels) -> tuple[Float[np.ndarray, "k"], str]:
+    """Levels of the contours that surround the figures, and on which side figures lie beyond."""
+    if levels is not None and np.ndim(levels) == 1:
+        levels = np.asarray(levels, float)
+    else:
+        low, high = finite.min(), finite.max()
+        most, least = np.quantile(finite, [OUTLIERS, 1 - OUTLIERS])
+        high = most if high > FAR * most > 0 else high
+        low = least if low < FAR * least < 0 else low
+        low, high = (low, high) if low < high else (low - 0.5, high + 0.5)
+        levels = MaxNLocator(levels or LEVELS).tick_values(low, high)
+    sides = (finite.min() < levels[0], finite.max() > levels[-1])
+    return levels, {(False, False): "neither", (True, False): "min", (False, True): "max", (True, True): "both"}[sides]
+
+
+def _draw_codes(ax, across, along, values, quantity: str) -> None:
+    """Areas of one colour for each code, with a legend of those that occur."""
+    codes = CODES[quantity]
+    numbers = sorted(int(code) for code in codes)
+    colours = [codes[code][1] for code in sorted(codes)]
+    norm = BoundaryNorm(np.arange(numbers[0], numbers[-1] + 2) - 0.5, len(numbers))
+    style = {"cmap": ListedColormap(colours), "norm": norm, "shading": "nearest", "rasterized": True}
+    ax.pcolormesh(across, along, values.astype(int), **style)
+    present = [code for code in sorted(codes) if (values.astype(int) == int(code)).any()]
+    handles = [Patch(facecolor=codes[code][1], edgecolor=DARK, linewidth=0.5, label=codes[code][0]) for code in present]
+    ax.legend(handles=handles, loc="upper left", bbox_to_anchor=(1.01, 1), borderaxespad=0)
+
+
+def _place(plane) -> str:
+    """Where the plane lies: the axes of the map that are not in the picture."""
+    scalars = (coordinate for coordinate in plane.coords.values() if coordinate.ndim == 0)
+    return ", ".join(f"{scalar.name} = {float(scalar):.3g} {scalar.attrs.get('units', '')}".strip() for scalar in scalars)
+
+
+def _label(array) -> str:
+    """What an axis or a field is called, with its unit."""
+    name, unit = NAMES.get(array.name, array.attrs.get("long_name", array.name)), array.attrs.get("units", "")
+    return f"{name} [{unit}]" if unit and unit != "1" else str(name)

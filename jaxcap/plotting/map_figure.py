@@ -1,0 +1,84 @@
+"""The figure of a whole map, with choices for whatever is not asked for."""
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from jaxcap.contacts import ContactSet
+from jaxcap.plotting.footprint import footprint
+from jaxcap.plotting.kernels import at_selection, kernel_slice
+from jaxcap.plotting.map_areas import POLAR, map_areas, weakest
+
+PREFERRED = ("margin", "max_speed")
+"""Quantities of which the first that is there is drawn where none is asked for."""
+
+
+def map_figure(
+    dataset,
+    contacts: ContactSet | None,
+    quantity: str | None,
+    axes: tuple[str | None, str | None],
+    selection: dict[str, float],
+) -> tuple[Figure, dict[str, float]]:
+    """An overview of a map of velocity areas; of another map, or if something is asked for, a slice.
+
+    contacts: drawn where the map is seen from above. quantity, axes: what is drawn over what; None for a choice. selection:
+    values of other axes. Those that are left are taken at their middle, headings at the first.
+
+    Returns the figure, and the values that were chosen. Raises ValueError as `kernel_slice` does, before anything is drawn.
+    """
+    polar = "max_speed" in dataset.data_vars and set(POLAR) <= set(dataset["max_speed"].dims)
+    if polar and quantity is None and axes == (None, None) and not set(POLAR) & set(selection):
+        chosen = _choice(dataset, "max_speed", POLAR, selection)
+        return _overview(dataset, contacts, {**selection, **chosen}), chosen
+    names = [str(name) for name in dataset.data_vars]
+    quantity = quantity or next(name for name in (*PREFERRED, *names) if name in names)
+    x, y = _free_axes(dataset, quantity, axes, selection)
+    chosen = _choice(dataset, quantity, (x, y), selection)
+    ax = kernel_slice(dataset, quantity, x=x, y=y, **selection, **chosen)
+    if (x, y) == POLAR[:2]:
+        _below(ax, contacts)
+    return ax.figure, chosen
+
+
+def _overview(dataset, contacts: ContactSet | None, selection: dict[str, float]) -> Figure:
+    """The speed that is stopped whatever its heading, and velocity areas, over the stance."""
+    figure = Figure(figsize=(12.5, 5), layout="compressed")
+    left, right = figure.subplots(1, 2)
+    kernel_slice(weakest(dataset, **selection), "weakest", ax=left)
+    limits = {"xlim": left.get_xlim(), "ylim": left.get_ylim()}
+    map_areas(dataset, ax=right, **selection).set(**limits)
+    for ax in (left, right):
+        _below(ax, contacts)
+    figure.suptitle(left.get_title())
+    left.set_title("largest speed that can be stopped whatever its heading")
+    right.set_title("velocities that can be stopped, from where the dots are")
+    return figure
+
+
+def _below(ax, contacts: ContactSet | None) -> None:
+    """The contacts, as far as they are in the picture."""
+    limits = {"xlim": ax.get_xlim(), "ylim": ax.get_ylim()}
+    if contacts is not None:
+        footprint(contacts, ax=ax)
+    ax.set(**limits)
+
+
+def _free_axes(dataset, quantity: str, axes, selection) -> tuple[str, str]:
+    """The axes asked for; for those that are not, the first that are free."""
+    dims = [str(name) for name in dataset[quantity].dims] if quantity in dataset.data_vars else list(POLAR)
+    free = [name for name in dims if name not in (*axes, *selection) and dataset.sizes.get(name, 0) > 1]
+    x = axes[0] or next(iter(free), None)
+    y = axes[1] or next((name for name in free if name != x), None)
+    if quantity in dataset.data_vars and None in (x, y):
+        where = f" at a value of {', '.join(selection)}" if selection else ""
+        raise ValueError(f"{quantity} has the axes {', '.join(dims) or 'none'}{where} (expected two for a picture)")
+    return str(x), str(y)
+
+
+def _choice(dataset, quantity: str, kept: tuple[str, ...], selection: dict[str, float]) -> dict[str, float]:
+    """Values for the axes that are left over. Raises ValueError for what cannot be drawn."""
+    dims = map(str, dataset[quantity].dims) if quantity in dataset.data_vars else ()
+    grids = {name: np.asarray(dataset[name], float) for name in dims if name not in (*kept, *selection)}
+    chosen = {name: float(grid[0 if name == "heading" else len(grid) // 2]) for name, grid in grids.items()}
+    at_selection(dataset, quantity, kept, {**selection, **chosen})
+    return chosen

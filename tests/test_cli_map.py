@@ -1,0 +1,240 @@
+"""`jaxcap map`: axes and quantities as text, defaults, messages, exit codes, signals."""
+
+import contextlib
+import os
+import pty
+import signal
+import subprocess
+import sys
+import termios
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+from state_files import FEET, write_contacts
+
+from jaxcap import map_blocks
+from jaxcap.cli import main
+from jaxcap.contact_files import read_contacts
+from jaxcap.grid import axes_around, grid
+from jaxcap.maps import kernel_map
+
+SMALL = ("--axis", "com_x=0:0.1:3", "--axis", "com_y=0", "--axis", "heading=0:90deg:2")
+
+SLOW = """
+import signal, sys, time
+import numpy as np
+from jaxcap import map_blocks
+from jaxcap.cli import main
+signal.signal(signal.SIGINT, signal.default_int_handler)   # ignored where the tests run in the background of a shell
+map_blocks.REGION = 16
+
+def over(self, numbers):
+    for number in numbers:
+        region = self.regions.region(number)
+        yield region, {name: np.full(region.shape(self.dims(name)), number, np.float32) for name in self.quantities}
+        print(number, flush=True)
+        time.sleep(float(sys.argv[1]))
+
+map_blocks.Answers.over = over
+sys.exit(main(sys.argv[2:]))
+"""
+"""A run of `jaxcap` that says how far it is, and takes its time."""
+
+
+@pytest.fixture
+def contacts(tmp_path):
+    return write_contacts(tmp_path / "feet.yaml")
+
+
+@pytest.fixture
+def fake(monkeypatch):
+    """Answers that need no compiling: every figure is the number of its region."""
+
+    def over(self, numbers):
+        for number in numbers:
+            region = self.regions.region(number)
+            kinds = {"capturable": bool, "case": np.int8, "status": np.int8}
+            shapes = {name: region.shape(self.dims(name)) for name in self.quantities}
+            yield region, {name: np.full(shape, number, kinds.get(name, np.float32)) for name, shape in shapes.items()}
+
+    monkeypatch.setattr(map_blocks.Answers, "over", over)
+
+
+def command(contacts, output, *options) -> list[str]:
+    """Arguments of `jaxcap`."""
+    return ["map", str(contacts), "-o", str(output), *options]
+
+
+def start(seconds, *arguments, **options):
+    """`jaxcap` in a process of its own, with slow and simple answers."""
+    root = Path(__file__).parents[1]
+    return subprocess.Popen(
+        [sys.executable, "-c", SLOW, str(seconds), *map(str, arguments)],
+        text=True,
+        env={**os.environ, "PYTHONPATH": str(root)},
+        **{"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, **options},
+    )
+
+
+# what is said
+
+
+def test_help_of_map_is_good_reading(capsys):
+    assert main(["map", "--help"]) == 0
+    text = capsys.readouterr().out
+    for words in (
+        ["jaxcap map feet.yaml -o kernel.zarr", "EXIT CODES", "xarray.open_dataset", "[m]", "[m/s]", "[rad]"],
+        ["com_x", "heading", "pitch", "speed", "velocity_x", "min_speed", "max_speed", "0:360deg:72"],
+        ["--axis", "--quantity", "--dtype", "--sides", "--force", "-o OUT, --output OUT"],
+    ):
+        assert [word for word in words if word not in text] == []
+    assert max(map(len, text.splitlines())) <= 80
+
+
+def test_the_list_of_commands_has_one_line_for_it(capsys):
+    assert main(["--help"]) == 0
+    text = capsys.readouterr().out
+    assert "Map where a robot can stop" in text and "AXES" not in text
+
+
+# what is written
+
+
+def test_a_contacts_file_alone_gives_the_kernel(tmp_path, contacts, capsys):
+    assert main(command(contacts, tmp_path / "kernel.zarr")) == 0
+    text = capsys.readouterr().out
+    assert "com_x 41 x com_y 41 x heading 72, 121032 states" in text and "states/s" in text and "float32" in text
+    with xr.open_dataset(tmp_path / "kernel.zarr") as found:
+        assert set(found.data_vars) == {"min_speed", "max_speed"} and found.max_speed.dtype == np.float32
+        assert found.com_z == 0.8 and found.pitch == 0
+        np.testing.assert_allclose(found.com_x[[0, -1]], [-0.2, 0.2])
+        np.testing.assert_allclose(found.com_y[[0, -1]], [-0.25, 0.25])
+        np.testing.assert_allclose(found.heading, np.radians(5) * np.arange(72))
+        stops = (found.max_speed > 0).mean("heading")
+        assert (stops.sel(com_x=0, com_y=0, method="nearest") == 1) and stops.isel(com_x=0, com_y=0) < 0.5
+        stance = read_contacts(contacts)
+        xr.testing.assert_identical(found.load(), kernel_map(stance, axes_around(stance, {})))
+
+
+def test_options_reach_the_map(tmp_path, contacts, fake):
+    axes = ("--axis", "speed=0:1:5", "--axis", "com_x=-0.1:0.1:3", "--axis", "com_z=0.7,0.9")
+    options = ("--quantity", "margin", "--quantity", "max_speed", "--dtype", "float64", "--sides", "8")
+    assert main(command(contacts, tmp_path / "map.nc", *axes, *options)) == 0
+    with xr.open_dataset(tmp_path / "map.nc") as found:
+        assert found.margin.dims == ("com_y", "heading", "speed", "com_x", "com_z")
+        assert found.max_speed.dims == ("com_y", "heading", "com_x", "com_z")
+        assert set(found.data_vars) == {"margin", "max_speed"}
+        assert found.attrs["dtype"] == "float64" and found.attrs["sides"] == 8
+        assert (found.speed == np.linspace(0, 1, 5)).all() and (found.com_z == [0.7, 0.9]).all()
+
+
+def test_a_speed_brings_the_verdict(tmp_path, contacts, fake):
+    assert main(command(contacts, tmp_path / "map.zarr", *SMALL, "--axis", "speed=0.5")) == 0
+    with xr.open_dataset(tmp_path / "map.zarr") as found:
+        assert set(found.data_vars) == {"capturable", "margin", "case"}
+        assert found.speed == 0.5 and found.margin.dims == ("com_x", "heading")
+
+
+def test_velocities_by_components_need_no_heading(tmp_path, contacts, fake):
+    axes = ("--axis", "velocity_x=-1:1:3", "--axis", "velocity_y=0", "--axis", "com_x=0", "--axis", "com_y=0")
+    assert main(command(contacts, tmp_path / "map.zarr", *axes)) == 0
+    with xr.open_dataset(tmp_path / "map.zarr") as found:
+        assert found.margin.dims == ("velocity_x",) and found.velocity_z == 0 and "heading" not in found
+
+
+def test_defaults_lie_around_the_contacts():
+    contacts = read_contacts(Path(__file__).parents[1] / "bench" / "data" / "talos_hand_on_wall.yaml")
+    axes = grid(axes_around(contacts, {"com_y": 0.25, "speed": 0.5})).axes
+    low, high = contacts.points.min(axis=0), contacts.points.max(axis=0)
+    np.testing.assert_allclose(axes["com_x"], np.linspace(low[0] - 0.1, high[0] + 0.1, 41))
+    assert axes["com_y"] == 0.25 and axes["com_z"] == low[2] + 0.8 and axes["speed"] == 0.5
+    assert len(axes["heading"]) == 72
+
+
+# what is refused
+
+
+@pytest.mark.parametrize(
+    "options, message",
+    [
+        (["--axis", "com_x"], "--axis com_x (expected NAME=VALUES, for example com_x=-0.4:0.4:201)"),
+        (["--axis", "com_x=0", "--axis", "com_x=1"], "--axis com_x is given twice"),
+        (["--axis", "com_q=0"], "axis 'com_q' is not known"),
+        (["--axis", "com_x=a:b:c"], "axis com_x: 'a:b:c'"),
+        (["--axis", "com_x="], "axis com_x: ''"),
+        (["--axis", "heading=0", "--axis", "velocity_x=1"], "the velocity is given twice"),
+        (["--quantity", "speediness"], "quantity 'speediness' is not known"),
+        (["--quantity", "margin"], "quantity 'margin' needs a speed"),
+        (["--sides", "2"], "--sides 2 (expected at least 3)"),
+        (["--axis", "com_x=0:1:9000000", "--axis", "com_y=0:1:9000000"], "the disk has"),
+    ],
+    ids=lambda value: value[-1] if isinstance(value, list) else "",
+)
+def test_options_that_cannot_be_used(tmp_path, contacts, capsys, options, message):
+    assert main(command(contacts, tmp_path / "map.zarr", *options)) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("error: ") and message in error and error.count("\n") == 1
+    assert os.listdir(tmp_path) == ["feet.yaml"]
+
+
+def test_files_that_cannot_be_used(tmp_path, contacts, capsys):
+    two = write_contacts(tmp_path / "two.yaml", {"sets": [FEET, {"contacts": []}]})
+    none = write_contacts(tmp_path / "none.yaml", {"sets": [{"contacts": []}]})
+    (tmp_path / "old.nc").write_text("old")
+    for file, output, message in (
+        (tmp_path / "no.yaml", "map.zarr", "no such file"),
+        (two, "map.zarr", "holds 2 sets of contacts"),
+        (none, "map.zarr", "contacts: none is active"),
+        (contacts, "old.nc", "exists already (--force overwrites it)"),
+        (contacts, "map.png", "unknown extension '.png'"),
+        (contacts, "no/map.zarr", "no such directory"),
+    ):
+        assert main(command(file, tmp_path / output)) == 2
+        assert message in capsys.readouterr().err
+    assert (tmp_path / "old.nc").read_text() == "old"
+
+
+def test_force_overwrites(tmp_path, contacts, fake):
+    for options in ((), ("--force",)):
+        assert main(command(contacts, tmp_path / "map.zarr", *SMALL, *options)) == 0
+    assert main(command(contacts, tmp_path / "map.zarr", *SMALL)) == 2
+
+
+# interruptions
+
+
+def test_interrupted_and_continued(tmp_path, contacts, monkeypatch):
+    """Ctrl-C: exit code 130, nothing under the name of the map, and the same command goes on."""
+    output, axes = tmp_path / "map.zarr", ("--axis", "com_x=0:0.1:8", "--axis", "com_y=0:0.1:8", "--axis", "heading=0:1:8")
+    run = start(0.05, *command(contacts, output, *axes))
+    for _ in range(3):   # regions
+        run.stdout.readline()
+    run.send_signal(signal.SIGINT)
+    _, error = run.communicate(timeout=60)
+    assert run.returncode == 130
+    assert error == f"note: the same command goes on where this one ended ({output}.partial)\ninterrupted\n"
+    assert not output.exists()
+    again = start(0, *command(contacts, output, *axes))
+    text, error = again.communicate(timeout=60)
+    assert (again.returncode, error) == (0, "")
+    assert f"{8**3} states; " in text and " were there" in text and int(text.split()[0]) >= 3
+    monkeypatch.setattr(map_blocks, "REGION", 16)
+    with xr.open_dataset(output) as found:
+        points = grid({name: found[name].values for name in found.coords})
+        assert (found.max_speed.values.ravel()[[0, -1]] == [0, len(map_blocks.regions(points)) - 1]).all()
+
+
+def test_a_terminal_sees_a_bar(tmp_path, contacts):
+    terminal, end = pty.openpty()
+    termios.tcsetwinsize(end, (24, 80))
+    run = start(0, *command(contacts, tmp_path / "map.zarr", *SMALL), stderr=end)
+    run.communicate(timeout=60)
+    os.close(end)
+    shown = b""
+    with contextlib.suppress(OSError):   # the end of a terminal that nobody holds open
+        while piece := os.read(terminal, 4096):
+            shown += piece
+    os.close(terminal)
+    assert run.returncode == 0 and b"100%" in shown and b"states" in shown
