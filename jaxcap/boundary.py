@@ -113,7 +113,7 @@ class Boundary(NamedTuple):
     def _over_pieces(self, step, values, start):
         """Fold `step(piece, values, state)` over the pieces."""
         one = lambda k, arguments, state: step(Pieces(*(field[k] for field in arguments[0])), arguments[1], state)
-        return bounded_loop(one, MAX_PIECES, self.count, (self.pieces, values), start)
+        return bounded_loop(one, len(self.pieces.left), self.count, (self.pieces, values), start)
 
 
 class Ride(NamedTuple):

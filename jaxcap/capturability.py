@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Num
+from jaxtyping import Array, Bool, Float, Int8, Num
 
 from jaxcap.boundary import Boundary, End
 from jaxcap.cone import CentroidalCone, ConeRays
@@ -27,6 +27,8 @@ GRAVITY = (0.0, 0.0, -9.81)
 
 LIMITS = ("min_speed", "max_speed")
 """Fields that do not depend on the speed."""
+QUICK = 2
+"""Pieces of the lower boundary that the quick round walks: all there are for two states of three."""
 WALKED = ("status", "paper_margin", "distance", "time", "residual_speed")
 """Fields for which the motion itself is followed; the others are comparisons of the speed with a few numbers."""
 
@@ -44,6 +46,8 @@ class Line(NamedTuple):
     """Smallest acceleration, to its end."""
     upper: Boundary
     """Minus the largest acceleration, to s_min, where the static region is `ahead`."""
+    left: Int8[Array, "*n"]
+    """What a quick look has left out: bits for the lower boundary's end, the way ahead, the way back; zero for nothing."""
 
 
 class Speeds(NamedTuple):
@@ -85,32 +89,20 @@ def capturability(
 
 @jax.jit
 def capturability_of_lanes(
-    cone: CentroidalCone | ConeRays, com: Num[Array, "3 *n"], com_velocity: Num[Array, "3 *n"], gravity, survey=None
-):
-    """`capturability` of states side by side, lanes last. survey: from `survey_of_lanes`, if it is known."""
-    polygon, speed, finite = _polygon(cone, com, com_velocity, gravity)
-    line = _line(polygon, polygon.survey() if survey is None else survey)
-    return _answer(line, _speeds(line), speed, finite)
+    cone: CentroidalCone | ConeRays, com: Num[Array, "3 *n"], com_velocity: Num[Array, "3 *n"], gravity
+) -> Capturability:
+    """`capturability` of states side by side, lanes last."""
+    return capturability_at(*travel_of_lanes(cone, com, com_velocity, gravity))
 
 
-@functools.partial(jax.jit, static_argnames="fields")
 def capturability_along(
-    cone: CentroidalCone | ConeRays,
-    com: Num[Array, "3 *n"],
-    along: Num[Array, "3 *n"],
-    gravity,
-    survey=None,
-    *,
-    speeds: Num[Array, "k"],
-    fields: tuple[str, ...],
+    line: Line, _, finite: Bool[Array, "*n"], speeds: Num[Array, "k"], fields: tuple[str, ...]
 ) -> dict[str, Array]:
     """Fields of `capturability` of lines of travel side by side, lanes last, at every one of k speeds [m/s], >= 0.
 
-    along: directions, not zero. `LIMITS` have shape (*n), the other fields (k, *n). Polygon, survey and walk are made once
-    for all speeds. At speed zero the answer is that of a zero velocity, but for `LIMITS`, which are those of the direction.
+    `LIMITS` have shape (*n), the other fields (k, *n). Polygon, survey and walk are made once for all speeds. At speed zero
+    the answer is that of a zero velocity, but for `LIMITS`, which are those of the direction.
     """
-    polygon, _, finite = _polygon(cone, com, along, gravity)
-    line = _line(polygon, polygon.survey() if survey is None else survey)
     limits = _speeds(line)
 
     def at(speed):
@@ -127,11 +119,28 @@ def capturability_along(
     return answers
 
 
+def travel_of_lanes(
+    cone: CentroidalCone | ConeRays,
+    com: Num[Array, "3 *n"],
+    com_velocity: Num[Array, "3 *n"],
+    gravity,
+    survey: Survey | None = None,
+    quick: bool = False,
+) -> tuple[Line, Float[Array, "*n"], Bool[Array, "*n"]]:
+    """Lines of travel side by side, lanes last; the speed along each, and whether the state is finite.
+
+    survey: from `survey_of_lanes`, if it is known. quick: only what most states need; `Line.left` says which need more.
+    """
+    polygon, speed, finite = _polygon(cone, com, com_velocity, gravity)
+    look = _glance if quick else _line
+    return look(polygon, polygon.survey() if survey is None else survey), speed, finite
+
+
 @jax.jit
 def survey_of_lanes(
     cone: CentroidalCone | ConeRays, com: Num[Array, "3 *n"], com_velocity: Num[Array, "3 *n"], gravity, near=None
 ) -> Survey:
-    """The first part of `capturability_of_lanes`, which every state needs. near: `Survey.near` of similar states."""
+    """The first part of `travel_of_lanes`, which every state needs. near: `Survey.near` of similar states."""
     return _polygon(cone, com, com_velocity, gravity)[0].survey(near)
 
 
@@ -152,10 +161,27 @@ def _line(polygon: Producer, survey: Survey) -> Line:
     standing = survey.standing & survey.feasible
     lower = polygon.boundary(jnp.where(survey.feasible, jnp.inf, 0))
     ahead = standing & (survey.s_min > 0) & survey.pulled_back
-    upper = polygon.flipped().boundary(jnp.where(ahead, survey.s_min, 0))
+    skip = lambda polygon, limit: jax.tree.map(jnp.zeros_like, lower)
+    walk_up = lambda polygon, limit: polygon.flipped().boundary(limit)
+    upper = jax.lax.cond(jnp.any(ahead), walk_up, skip, polygon, jnp.where(ahead, survey.s_min, 0))
     same_alpha = tolerances(survey.s_max.dtype).same_alpha * polygon.size
     hanging = standing & (lower.ending != End.DIVERGES) & (survey.s_max < lower.end - same_alpha)
-    return Line(polygon, survey, ahead, hanging, lower, upper)
+    return Line(polygon, survey, ahead, hanging, lower, upper, jnp.zeros(ahead.shape, jnp.int8))
+
+
+def _glance(polygon: Producer, survey: Survey) -> Line:
+    """The line without what only some states need: a lower boundary of more than a few pieces, an upper one, swings."""
+    polygon = polygon.knowing(survey)
+    standing = survey.standing & survey.feasible
+    lower = polygon.boundary(jnp.where(survey.feasible, jnp.inf, 0), most=QUICK)
+    unfinished = lower.ending == End.MAX_PIECES
+    same_alpha = tolerances(survey.s_max.dtype).same_alpha * polygon.size
+    ahead = standing & (survey.s_min > 0) & survey.pulled_back
+    hanging = standing & (lower.ending != End.DIVERGES) & (survey.s_max < lower.end - same_alpha)
+    hanging = jnp.where(unfinished, standing & survey.hangs, hanging)
+    left = (unfinished + 2 * ahead + 4 * hanging).astype(jnp.int8)
+    nowhere, none = jax.tree.map(jnp.zeros_like, lower), jnp.zeros_like(ahead)
+    return Line(polygon, survey, none, none, lower, nowhere, left)
 
 
 def _speeds(line: Line) -> Speeds:
@@ -218,6 +244,11 @@ def _still(line: Line) -> Capturability:
         time=jnp.where(stands, 0, none),
         residual_speed=jnp.where(survey.known, 0, none),
     )
+
+
+def capturability_at(line: Line, speed: Float[Array, "*n"], finite: Bool[Array, "*n"]) -> Capturability:
+    """`capturability` of lines of travel side by side, each at its speed."""
+    return _answer(line, _speeds(line), speed, finite)
 
 
 def _answer(line: Line, speeds: Speeds, speed, finite) -> Capturability:

@@ -16,8 +16,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Int
 
-from jaxcap.batch import BLOCK, LANES, answer_block, padded_cone, side_by_side
-from jaxcap.capturability import LIMITS, capturability_along, capturability_of_lanes
+from jaxcap.batch import BLOCK, padded_cone, side_by_side
+from jaxcap.block import LANES, answer_block
+from jaxcap.capturability import LIMITS, capturability_along, capturability_at
 from jaxcap.cone import CentroidalCone, ConeRays
 from jaxcap.grid import Grid, look_up
 
@@ -154,16 +155,14 @@ def _answers(cone, tables, gravity, start, first, shape, speeds, *, names, size:
     index = jnp.minimum(start + jnp.arange(size, dtype=jnp.int32), jnp.prod(shape, dtype=jnp.int32) - 1)
     places = first[:, None] + _unravelled(index, shape)
     com, along = look_up(tables, dict(zip(names, places, strict=True)))
-    if speeds is None:
-        answer = partial(_of_states, fields=fields)
-    else:
-        answer = partial(capturability_along, speeds=speeds, fields=fields)
+    along_all = partial(capturability_along, speeds=speeds, fields=fields)
+    answer = partial(_at, fields=fields) if speeds is None else along_all
     return answer_block(cone, (com.T, along.T), gravity, answer=answer)
 
 
-def _of_states(cone, com, com_velocity, gravity, survey=None, *, fields: tuple[str, ...]):
-    """Fields of `capturability_of_lanes`."""
-    answer = capturability_of_lanes(cone, com, com_velocity, gravity, survey)
+def _at(line, speed, finite, fields: tuple[str, ...]):
+    """Fields of `capturability_at`."""
+    answer = capturability_at(line, speed, finite)
     return {name: getattr(answer, name) for name in fields}
 
 

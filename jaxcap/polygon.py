@@ -58,7 +58,10 @@ class Polygon(NamedTuple):
         on_acceleration, on_alpha, bound = self[:3]
         static, values = ratio(bound, on_alpha), ratio(bound, on_acceleration)
         s_min = jnp.max(jnp.where(on_alpha < 0, static, -jnp.inf), axis=0)
-        s_max = jnp.min(jnp.where(on_alpha > 0, static, jnp.inf), axis=0)
+        # By what ends it: a row that bounds the acceleration from above, or another.
+        above, other = (on_alpha > 0) & (on_acceleration > 0), (on_alpha > 0) & (on_acceleration <= 0)
+        s_above = jnp.min(jnp.where(above, static, jnp.inf), axis=0)
+        s_max = jnp.minimum(s_above, jnp.min(jnp.where(other, static, jnp.inf), axis=0))
         lowest = jnp.max(jnp.where(on_acceleration < 0, values, -jnp.inf), axis=0)
         highest = jnp.min(jnp.where(on_acceleration > 0, values, jnp.inf), axis=0)
         # Rows without a coefficient hold or they do not.
@@ -71,11 +74,12 @@ class Polygon(NamedTuple):
             feasible=start_holds & (lowest <= highest),
             pulled_back=highest < 0,
             known=jnp.ones_like(start_holds),
+            hangs=(s_above <= s_max) & (s_max < jnp.inf),
         )
 
-    def boundary(self, limit: Float[Array, "*n"], rising: bool = False) -> Boundary:
+    def boundary(self, limit: Float[Array, "*n"], rising: bool = False, most: int | None = None) -> Boundary:
         """The lower boundary, as `Producer` has it."""
-        return _boundary(self, jax.lax.stop_gradient(limit).astype(self.bound.dtype), rising)
+        return _boundary(self, jax.lax.stop_gradient(limit).astype(self.bound.dtype), rising, most)
 
 
 def polygon(
@@ -111,8 +115,8 @@ def _stored(rows: Polygon) -> Polygon:
     return jax.lax.optimization_barrier(rows)
 
 
-@functools.partial(jax.custom_jvp, nondiff_argnums=(2,))
-def _boundary(rows: Polygon, limit: Float[Array, "*n"], rising: bool) -> Boundary:
+@functools.partial(jax.custom_jvp, nondiff_argnums=(2, 3))
+def _boundary(rows: Polygon, limit: Float[Array, "*n"], rising: bool, most: int | None) -> Boundary:
     lower = rows.on_acceleration < 0
     # Rows that do not bound the acceleration from below get an infinite slope: a walk that meets them is at its end.
     slopes = jnp.where(lower, -ratio(rows.on_alpha, rows.on_acceleration), jnp.inf)
@@ -123,7 +127,7 @@ def _boundary(rows: Polygon, limit: Float[Array, "*n"], rising: bool) -> Boundar
     wall = (rows.on_acceleration == 0) & (rows.on_alpha > 0)
     wall = jnp.min(jnp.where(wall, ratio(rows.bound, rows.on_alpha), jnp.inf), axis=0)
     follow = lambda alpha, line, _: _follow(rows, slopes, alpha, line)
-    return walk(follow, Line(value, slope), (), value == -jnp.inf, wall, limit, rising)[0]
+    return walk(follow, Line(value, slope), (), value == -jnp.inf, wall, limit, rising, most)[0]
 
 
 def _crossings(rows: Polygon, intercept, slope):
@@ -145,10 +149,10 @@ def _follow(rows: Polygon, slopes, alpha, line: Line) -> Next:
 
 
 @_boundary.defjvp
-def _boundary_jvp(rising, primals, tangents):
+def _boundary_jvp(rising, most, primals, tangents):
     """The search for the active faces is not differentiated; their lines are."""
     (rows, limit), (change, _) = primals, tangents
-    found = _boundary(rows, limit, rising)
+    found = _boundary(rows, limit, rising, most)
     pieces = found.pieces
     lower = rows.on_acceleration < 0
     row_slopes, row_values = -ratio(rows.on_alpha, rows.on_acceleration), ratio(rows.bound, rows.on_acceleration)

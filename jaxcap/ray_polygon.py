@@ -30,8 +30,6 @@ class Bases(NamedTuple):
     """Of s_min."""
     most: Basis
     """Of s_max."""
-    hangs: Bool[Array, "*n"]
-    """The force that ends the static region ahead bounds the acceleration from above: the polygon goes on beyond."""
     pivots: Int[Array, "*n"]
     """That the three programs took."""
 
@@ -108,13 +106,14 @@ class RayPolygon(NamedTuple):
             feasible=feasible,
             pulled_back=feasible & (s_min > 0) & ((start.outcome != Outcome.OPTIMAL) | (_value(lowest, start.basis) <= 0)),
             known=~undecided,
-            near=Bases(start.basis, first.basis, second.basis, hangs, pivots),
+            hangs=hangs,
+            near=Bases(start.basis, first.basis, second.basis, pivots),
             start=simplex.improved(lowest, start.basis),
         )
 
-    def boundary(self, limit: Float[Array, "*n"], rising: bool = False) -> Boundary:
+    def boundary(self, limit: Float[Array, "*n"], rising: bool = False, most: int | None = None) -> Boundary:
         """The lower boundary, as `Producer` has it."""
-        return _boundary(self, jax.lax.stop_gradient(limit).astype(self.target.dtype), rising)
+        return _boundary(self, jax.lax.stop_gradient(limit).astype(self.target.dtype), rising, most)
 
     def at_start(self) -> Program:
         """The program of the smallest acceleration at alpha = 0, (25)."""
@@ -174,12 +173,12 @@ def _value(program: Program, basis: Basis) -> Float[Array, "*n"]:
     return jnp.sum(jnp.where(basis.index == FREE, held, 0), axis=0)
 
 
-@functools.partial(jax.custom_jvp, nondiff_argnums=(2,))
-def _boundary(polygon: RayPolygon, limit: Float[Array, "*n"], rising: bool) -> Boundary:
-    return _search(polygon, limit, rising, lambda basis: ())[0]
+@functools.partial(jax.custom_jvp, nondiff_argnums=(2, 3))
+def _boundary(polygon: RayPolygon, limit: Float[Array, "*n"], rising: bool, most: int | None) -> Boundary:
+    return _search(polygon, limit, rising, most, lambda basis: ())[0]
 
 
-def _search(polygon: RayPolygon, limit, rising: bool, mark):
+def _search(polygon: RayPolygon, limit, rising: bool, most: int | None, mark):
     """The boundary, and the marks of its pieces' bases."""
     program = polygon.at_start()
     walked = limit > 0
@@ -190,7 +189,7 @@ def _search(polygon: RayPolygon, limit, rising: bool, mark):
     wall = jax.lax.cond(jnp.any(floorless), _wall, lambda polygon, _: jnp.full_like(limit, jnp.inf), polygon, floorless)
     follow = lambda alpha, line, basis: _follow(polygon, alpha, basis)
     first = _line(polygon, found.basis)
-    boundary, marks = walk(follow, first, found.basis, floorless, wall, jnp.where(lost, 0, limit), rising, mark)
+    boundary, marks = walk(follow, first, found.basis, floorless, wall, jnp.where(lost, 0, limit), rising, most, mark)
     return boundary._replace(ending=jnp.where(lost, End.MAX_PIECES, boundary.ending).astype(jnp.int8)), marks
 
 
@@ -249,10 +248,10 @@ def _end(polygon: RayPolygon, basis: Basis):
 
 
 @_boundary.defjvp
-def _boundary_jvp(rising, primals, tangents):
+def _boundary_jvp(rising, most, primals, tangents):
     """The search for the bases is not differentiated; the lines that belong to them are."""
     (polygon, limit), (change, _) = primals, tangents
-    found, indices = _search(polygon, limit, rising, lambda basis: basis.index)
+    found, indices = _search(polygon, limit, rising, most, lambda basis: basis.index)
     final = jnp.isinf(found.pieces.right)
 
     def of_piece(piece):

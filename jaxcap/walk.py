@@ -30,8 +30,9 @@ class Survey(NamedTuple):
     """... and each that does is negative."""
     known: Bool[Array, "*n"]
     """False where the survey failed."""
-    near: Any = ()
-    """From where the survey of a similar state may start."""
+    hangs: Bool[Array, "*n"]
+    """What ends the static region ahead bounds the acceleration from above, as far as rounding can tell: the polygon goes on
+    beyond."""
     start: Any = ()
     """From where the walk may start."""
     near: Any = ()
@@ -51,11 +52,11 @@ class Producer(Protocol):
     def knowing(self, survey: Survey) -> "Producer":
         """The same, with what its survey has found: ready to be walked."""
 
-    def boundary(self, limit: Float[Array, "*n"], rising: bool = False) -> Boundary:
+    def boundary(self, limit: Float[Array, "*n"], rising: bool = False, most: int | None = None) -> Boundary:
         """The lower boundary from alpha = 0, where the polygon must be feasible, to where it turns non-negative while
         rising (C1; not with `rising`), to the polygon's right end (C2), or a little beyond `limit` at most.
 
-        Lanes whose limit is not positive are not walked.
+        Lanes whose limit is not positive are not walked. After `most` pieces (MAX_PIECES) a walk ends with End.MAX_PIECES.
         """
 
     def flipped(self) -> "Producer":
@@ -104,14 +105,26 @@ class WalkState(NamedTuple):
     """What the producer left for each piece."""
 
 
-def walk(follow, first: Line, memory, floorless, wall, limit: Float[Array, "*n"], rising: bool, mark=lambda memory: ()):
+def walk(
+    follow,
+    first: Line,
+    memory,
+    floorless,
+    wall,
+    limit: Float[Array, "*n"],
+    rising: bool,
+    most: int | None = None,
+    mark=lambda memory: (),
+):
     """The boundary from alpha = 0 on, to where it turns non-negative while rising (C1; not with `rising`), to the polygon's
-    right end (C2), or a little beyond `limit`. Lanes whose limit is not positive are not walked.
+    right end (C2), or a little beyond `limit`; `most` pieces at most (MAX_PIECES). Lanes whose limit is not positive are not
+    walked.
 
     follow(alpha, line, memory) -> Next. floorless: lanes without a lower boundary, where the polygon ends at `wall`.
     Returns the boundary, and mark(memory) for every piece, stacked.
     """
-    nothing = jnp.zeros((MAX_PIECES, *limit.shape), limit.dtype)
+    most = MAX_PIECES if most is None else most
+    nothing = jnp.zeros((most, *limit.shape), limit.dtype)
     found = Boundary(
         pieces=Pieces(nothing, nothing, nothing, nothing),
         count=jnp.zeros((), jnp.int32),
@@ -124,10 +137,10 @@ def walk(follow, first: Line, memory, floorless, wall, limit: Float[Array, "*n"]
         running=(limit > 0) & ~floorless,
         memory=memory,
         found=found,
-        marks=jax.tree.map(lambda field: jnp.zeros((MAX_PIECES, *field.shape), field.dtype), mark(memory)),
+        marks=jax.tree.map(lambda field: jnp.zeros((most, *field.shape), field.dtype), mark(memory)),
     )
     last = jax.lax.while_loop(
-        lambda state: jnp.any(state.running) & (state.found.count < MAX_PIECES),
+        lambda state: jnp.any(state.running) & (state.found.count < most),
         lambda state: _next_piece(follow, limit, rising, mark, state),
         start,
     )

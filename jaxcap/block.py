@@ -1,0 +1,108 @@
+"""A block of states: chunks for the cache, two rounds so that a chunk seldom waits for its slowest lane."""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+
+from jaxcap.capturability import capturability_at, capturability_of_lanes, survey_of_lanes, travel_of_lanes
+
+LANES = 64
+"""States of a chunk, computed side by side: rows x lanes numbers should fit the cache."""
+
+
+@functools.partial(jax.custom_jvp, nondiff_argnums=(3,))
+def answers(common, per_state, gravity, neighbours: bool):
+    """`capturability` of the states of a block."""
+    return answer_block(common, per_state, gravity, neighbours)
+
+
+@answers.defjvp
+def _answers_jvp(neighbours, primals, tangents):
+    """Derivatives are those of one round: the second has a loop of unknown length, and puts its answers over the first's."""
+
+    def in_one_round(common, per_state, gravity):
+        return over_chunks(lambda states: capturability_of_lanes(*_arguments(common, states), gravity), per_state)
+
+    return jax.jvp(in_one_round, primals, tangents)
+
+
+def answer_block(common, per_state, gravity, neighbours: bool = False, answer=capturability_at):
+    """The answers for one block, in two rounds. answer: of lines of travel, speeds along them, and whether they are finite.
+
+    A chunk takes as long as its slowest lane. So all states are looked at quickly, which settles most of them; the others go
+    into the second round, side by side with those that have the same left to find out.
+    """
+    n = len(jax.tree.leaves(per_state)[0])
+    travel = lambda states, survey, quick: travel_of_lanes(*_arguments(common, states), gravity, survey, quick)
+
+    def first(rows):
+        line, *motion = travel(*rows, quick=True)
+        return answer(line, *motion), line.left, _lean(line.survey)
+
+    answers, left, surveys = over_chunks(first, (per_state, _surveys(common, per_state, gravity) if neighbours else None))
+    order, count = _unsettled(left)
+    rows = jax.tree.map(lambda x: x[order], (per_state, surveys))
+
+    def second(chunk, answers):
+        start = chunk * LANES
+        lanes = jax.tree.map(lambda x: jnp.moveaxis(jax.lax.dynamic_slice_in_dim(x, start, LANES), 0, -1), rows)
+        found = answer(*travel(*lanes, quick=False))
+        place = jax.lax.dynamic_slice_in_dim(order, start, LANES)
+        place = jnp.where(start + jnp.arange(LANES) < count, place, n)   # beyond the last: dropped
+        return jax.tree.map(lambda x, y: x.at[place].set(jnp.moveaxis(y, -1, 0), mode="drop"), answers, found)
+
+    return jax.lax.fori_loop(0, -(-count // LANES), second, answers)
+
+
+def _unsettled(left):
+    """Indices of the rows where something is left, those alike together, padded to whole chunks; and how many they are."""
+    n, place, count = len(left), jnp.full(left.shape, -1, jnp.int32), jnp.int32(0)
+    for kind in range(1, 8):
+        here = left == kind
+        place = jnp.where(here, count + jnp.cumsum(here, dtype=jnp.int32) - 1, place)
+        count += jnp.sum(here, dtype=jnp.int32)
+    padded = -(-n // LANES) * LANES
+    order = jnp.zeros(padded, jnp.int32)
+    return order.at[jnp.where(place < 0, padded, place)].set(jnp.arange(n, dtype=jnp.int32), mode="drop"), count
+
+
+def _lean(survey):
+    """Without what no other round needs."""
+    return survey._replace(near=())
+
+
+def _surveys(common, per_state, gravity):
+    """All surveys of a block of neighbours, which share a lane: each begins where the one before has ended."""
+    one = lambda states, near=None: survey_of_lanes(*_arguments(common, states), gravity, near)
+    n, steps = len(per_state[0]), -(-len(per_state[0]) // LANES)
+    to_steps = lambda x: jnp.moveaxis(x.reshape(LANES, steps, *x.shape[1:]), 0, -1)
+    states = jax.tree.map(to_steps, padded(per_state, steps * LANES))
+
+    def step(near, states):
+        survey = one(states, near)
+        return survey.near, _lean(survey)
+
+    first = one(jax.tree.map(lambda x: x[0], states))
+    surveys = jax.lax.scan(step, first.near, states)[1]
+    return jax.tree.map(lambda x: jnp.moveaxis(x, -1, 0).reshape(-1, *x.shape[1:-1])[:n], surveys)
+
+
+def over_chunks(one, rows):
+    """`one` of all rows, a chunk at a time, a row a lane."""
+    n = len(jax.tree.leaves(rows)[0])
+    chunks = -(-n // LANES)
+    to_chunks = lambda x: jnp.moveaxis(x.reshape(chunks, LANES, *x.shape[1:]), 1, -1)
+    answers = jax.lax.map(one, jax.tree.map(to_chunks, padded(rows, chunks * LANES)))
+    return jax.tree.map(lambda x: jnp.moveaxis(x, -1, 1).reshape(chunks * LANES, *x.shape[1:-1])[:n], answers)
+
+
+def _arguments(common, states):
+    """Cone, CoM and velocity of a chunk; the cone is common, or every state's own."""
+    com, com_velocity, *own = states
+    return (*own, com, com_velocity) if own else (common, com, com_velocity)
+
+
+def padded(per_state, size: int):
+    """With rows of zeros, up to this number."""
+    return jax.tree.map(lambda x: jnp.pad(x, ((0, size - len(x)), *[(0, 0)] * (x.ndim - 1))), per_state)
