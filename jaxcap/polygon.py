@@ -56,24 +56,23 @@ class Polygon(NamedTuple):
     def survey(self, near=None) -> Survey:
         """Static region, and polygon at alpha = 0. near: not used, faces are surveyed as fast from anywhere."""
         on_acceleration, on_alpha, bound = self[:3]
-        static, values = ratio(bound, on_alpha), ratio(bound, on_acceleration)
-        s_min = jnp.max(jnp.where(on_alpha < 0, static, -jnp.inf), axis=0)
-        # By what ends it: a row that bounds the acceleration from above, or another.
+        static, values = jax.lax.optimization_barrier((ratio(bound, on_alpha), ratio(bound, on_acceleration)))
+        # Rows without a coefficient hold or they do not: those that do not leave nothing.
+        without = lambda coefficient: jnp.where((coefficient == 0) & (bound < 0), jnp.inf, -jnp.inf)
+        s_min = jnp.max(jnp.where(on_alpha < 0, static, without(on_alpha)), axis=0)
+        # The end ahead, by what makes it: a row that bounds the acceleration from above, or another.
         above, other = (on_alpha > 0) & (on_acceleration > 0), (on_alpha > 0) & (on_acceleration <= 0)
         s_above = jnp.min(jnp.where(above, static, jnp.inf), axis=0)
         s_max = jnp.minimum(s_above, jnp.min(jnp.where(other, static, jnp.inf), axis=0))
-        lowest = jnp.max(jnp.where(on_acceleration < 0, values, -jnp.inf), axis=0)
+        lowest = jnp.max(jnp.where(on_acceleration < 0, values, without(on_acceleration)), axis=0)
         highest = jnp.min(jnp.where(on_acceleration > 0, values, jnp.inf), axis=0)
-        # Rows without a coefficient hold or they do not.
-        static_holds = jnp.min(jnp.where(on_alpha == 0, bound, 0), axis=0) >= 0
-        start_holds = jnp.min(jnp.where(on_acceleration == 0, bound, 0), axis=0) >= 0
         return Survey(
             s_min=s_min,
             s_max=s_max,
-            standing=static_holds & (s_min <= s_max),
-            feasible=start_holds & (lowest <= highest),
+            standing=(s_min <= s_max) & (s_min < jnp.inf),
+            feasible=(lowest <= highest) & (lowest < jnp.inf),
             pulled_back=highest < 0,
-            known=jnp.ones_like(start_holds),
+            known=jnp.ones(s_min.shape, bool),
             hangs=(s_above <= s_max) & (s_max < jnp.inf),
         )
 
