@@ -6,7 +6,7 @@ A line is a command `jaxcap map CONTACTS -o OUT.zarr --axis ...` in a process of
 headings, 61 speeds, float32. `verdict` writes capturable, margin and case of every state; `all` writes all fields. The ratio
 comes first: states/s of the map over those of `score`, which computes every field, on arrays of the same states. `seconds`
 are those of the whole command without starting Python: compiling, computing, compressing and writing.
-`peak` is the largest resident memory of the process (ru_maxrss), the interpreter and JAX included.
+`peak` is the largest resident memory of the process, the interpreter and JAX included (see bench/memory.py).
 
 `score` is given `--sample` of the states, runs of neighbours that begin at random places (seed 0), from the host, compiled
 before, once before the map and once after it; its rate is the better of the two. A busy machine slows both alike, so trust
@@ -17,8 +17,6 @@ margin is larger than 1e-5 m/s; it has to be 0. Needs the extras maps and cli. T
 import argparse
 import json
 import math
-import subprocess
-import sys
 import tempfile
 import time
 from pathlib import Path
@@ -28,23 +26,14 @@ import numpy as np
 import xarray as xr
 
 import jaxcap
+from bench.memory import CONTACTS, in_process
 from jaxcap.contact_files import read_contacts
 from jaxcap.grid import Grid, axes_around, grid
 
-CONTACTS = Path(__file__).parent / "data" / "talos_two_feet.yaml"
 SEED, RUN = 0, 1 << 16
 HEADINGS, SPEEDS, FASTEST = 72, 61, 1.5
 BAND = 1e-5
 """Margins smaller than this are too close for a verdict to be compared in single precision [m/s]."""
-CHILD = """
-import json, resource, sys, time
-from jaxcap.cli import main
-start = time.perf_counter()
-code = main(sys.argv[1:])
-seconds = time.perf_counter() - start
-print(json.dumps({"seconds": seconds, "peak_bytes": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024}))
-sys.exit(code)
-"""
 
 
 def axes(contacts: Path, states: int) -> dict[str, str]:
@@ -59,11 +48,7 @@ def mapped(contacts: Path, output: Path, texts: dict[str, str], quantities) -> d
     """Runs the command. Returns its seconds and its peak memory."""
     options = [*(f"--axis={name}={text}" for name, text in texts.items()), *(f"--quantity={name}" for name in quantities)]
     command = ["map", str(contacts), "-o", str(output), *options]
-    done = subprocess.run([sys.executable, "-c", CHILD, *command], capture_output=True, text=True)
-    if done.returncode:
-        raise RuntimeError(done.stderr)
-    found = json.loads(done.stdout.splitlines()[-1])
-    return {"command": " ".join(["jaxcap", *command]), **found}
+    return {"command": " ".join(["jaxcap", *command]), **in_process(command)}
 
 
 def scored(cone, points: Grid, starts: np.ndarray) -> tuple[float, jaxcap.Capturability]:

@@ -1,9 +1,11 @@
-"""Many states: blocks for the cores."""
+"""Many states: blocks for the cores and the devices."""
 
 import os
+import sys
 from collections import deque
 from collections.abc import Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from functools import cache, partial
 
 import jax
 import jax.numpy as jnp
@@ -13,6 +15,7 @@ from jaxcap.block import LANES, answers, padded
 from jaxcap.capturability import GRAVITY
 from jaxcap.cone import CentroidalCone, ConeRays
 from jaxcap.contacts import FloatArray
+from jaxcap.devices import Spread, spread_over
 from jaxcap.result import Capturability
 
 BLOCK = 1 << 13
@@ -39,6 +42,9 @@ def score(
     precision, as far as JAX's x64 switch allows. Every field of the result has shape (n,). A state with NaN or infinity
     gets `Status.NONFINITE` and leaves the others alone; n may be 0.
 
+    Several devices of a process share the states, and the answers, the same to the bit, come to the default device. Only
+    some: place an argument there (`jax.device_put` with a device or a sharding), or set `jax.default_device`.
+
     Raises TypeError for wrong shapes.
     """
     coms, com_velocities = jnp.asarray(coms), jnp.asarray(com_velocities)
@@ -56,8 +62,15 @@ def score(
     per_state, common = ((coms, com_velocities, cone), None) if own else ((coms, com_velocities), cone)
     if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves((coms, com_velocities, cone))):
         return answers(common, per_state, gravity, neighbours)
-    block = RAYS_BLOCK if own else BLOCK
-    run = lambda start: _compiled(common, _block(per_state, n, start, block), gravity, neighbours)
+    devices = spread_over((per_state, common, gravity))
+    shares = max(len(devices), 1)
+    block = shares * (RAYS_BLOCK if own else BLOCK)
+    if shares == 1:
+        answer = lambda states: _compiled(common, states, gravity, neighbours)
+    else:
+        spread = _spread(devices, neighbours)
+        answer = partial(spread, spread.everywhere((common, gravity)))
+    run = lambda start: answer(_block(per_state, n, start, block, shares))
     first, *starts = range(0, max(n, 1), block)
     parts = [run(first), *side_by_side(run, starts)]
     return jax.tree.map(lambda *fields: jnp.concatenate(fields)[:n], *parts)
@@ -68,15 +81,15 @@ def padded_cone(cone: CentroidalCone | ConeRays) -> CentroidalCone | ConeRays:
     return cone.padded(-(-max(len(cone.faces), 1) // ROWS) * ROWS) if isinstance(cone, CentroidalCone) else cone
 
 
-def side_by_side(run, items: Iterable, ahead: float = float("inf")) -> Iterator:
+def side_by_side(run, items: Iterable, ahead: int = sys.maxsize) -> Iterator:
     """The results of run(item), in order, from one thread a core: on a CPU, JAX runs what one thread asks for in sequence.
 
     ahead: how many items at most are begun beyond the one whose result is waited for. Called when the program is compiled.
     """
-    x64 = jax.config.jax_enable_x64
+    x64, device = jax.config.jax_enable_x64, jax.config.jax_default_device
 
     def in_thread(item):
-        with jax.enable_x64(x64):   # the switch belongs to a thread
+        with jax.enable_x64(x64), jax.default_device(device):   # both settings belong to a thread
             return jax.block_until_ready(run(item))
 
     waiting = deque()
@@ -93,11 +106,18 @@ def side_by_side(run, items: Iterable, ahead: float = float("inf")) -> Iterator:
                 future.cancel()
 
 
-def _block(per_state, n: int, start: int, block: int):
-    """One block of n states, padded to the next of a few sizes, each of which is compiled once."""
-    rows = min(block, n - start)
-    size = block if start else min(block, max(LANES, 1 << max(rows - 1, 0).bit_length()))
-    return padded(jax.tree.map(lambda leaf: leaf[start : start + block], per_state), size)
+def _block(per_state, n: int, start: int, block: int, shares: int = 1):
+    """One block of n states, padded to the next of a few sizes, each of which is compiled once, in equal shares."""
+    rows = -(-min(block, n - start) // shares)
+    most = block // shares
+    size = most if start else min(most, max(LANES, 1 << max(rows - 1, 0).bit_length()))
+    return padded(jax.tree.map(lambda leaf: leaf[start : start + block], per_state), shares * size)
 
 
 _compiled = jax.jit(answers, static_argnames="neighbours")
+
+
+@cache
+def _spread(devices: tuple[jax.Device, ...], neighbours: bool) -> Spread:
+    """A program for one block on each of the devices."""
+    return Spread(lambda common, states: answers(common[0], states, common[1], neighbours), devices)

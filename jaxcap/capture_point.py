@@ -28,7 +28,7 @@ class Baselines(NamedTuple):
 
 
 def capture_point(
-    com: Num[FloatArray, "*#n 3"], com_velocity: Num[FloatArray, "*#n 3"], height: Num[FloatArray, "*#n"] | float,
+    com: Num[FloatArray, "*#n 3"], com_velocity: Num[FloatArray, "*#n 3"], height: Num[FloatArray, "*#n"] | float | int,
     gravity=GRAVITY,
 ) -> Float[Array, "*n 2"]:
     """Point on the ground where the linear inverted pendulum would have to step to come to rest, (14).
@@ -63,7 +63,7 @@ def baselines(
     contacts: ContactSet,
     coms: Num[FloatArray, "n 3"],
     com_velocities: Num[FloatArray, "n 3"],
-    height: Num[FloatArray, "..."] | float | None = None,
+    height: Num[FloatArray, "..."] | float | int | None = None,
     gravity=GRAVITY,
 ) -> Baselines:
     """Signed distance of the capture point to the support polygon and to the hull of the contact points, for many states.

@@ -17,6 +17,7 @@ import jaxcap
 from jaxcap.capturability import GRAVITY
 from jaxcap.capture_point import baselines as baselines_of
 from jaxcap.columns import BASELINES, FIELDS, StateBatch, describe, refuse_clashes
+from jaxcap.compile_cache import compilation_cache
 from jaxcap.contact_columns import CHOICE, POINTS, BadRows, RowContacts
 from jaxcap.contact_files import ContactSets, read_contact_sets
 from jaxcap.contact_rows import OwnContacts, SharedSets
@@ -112,6 +113,11 @@ TABLE
   At the end: counts of cases and statuses, quantiles of the margin (to within
   0.025 %), states per second.
 
+COMPILING
+  Takes seconds, once a run. With --cache DIR the programs are kept in DIR,
+  which is made if need be, and the next run takes them from there. They are
+  code: use no DIR that is written to by anyone whom you do not trust.
+
 EXIT CODES
   0 done; 2 bad input, and one line says which; 130 interrupted.
 """
@@ -132,6 +138,7 @@ def score(
     neighbours: bool = False,
     baselines: bool = False,
     height: Annotated[float | None, tyro.conf.arg(metavar="H")] = None,
+    cache: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
     force: bool = False,
 ) -> None:
     """Scores a file of states, writes the answers beside them and prints a summary; see SCORE.
@@ -148,6 +155,7 @@ def score(
         neighbours: Rows that follow each other are similar states: saves work where each has its own contacts.
         baselines: Also write how far the capture point lies inside support polygon and hull of the contacts.
         height: CoM height for the capture point [m]; by default that above the contacts of each row.
+        cache: Keep compiled programs in this directory.
         force: Overwrite OUT if it exists.
     """
     if height is not None and not baselines:
@@ -160,7 +168,7 @@ def score(
         raise InputError(f"--batch-size {batch_size} (expected at least 1)")
     check_output(output, force=force, inputs=(states, contacts) if contacts else (states,))
     sets = read_contact_sets(contacts) if contacts else None
-    with _precision(dtype), read_states(states, batch_size, dtype) as source:
+    with _precision(dtype), read_states(states, batch_size, dtype) as source, compilation_cache(cache):
         for name in source.skipped:
             print(f"note: {states}: {name!r} is not carried through: not one value for each state", file=sys.stderr)
         described = _contacts(states, source.contacts, contacts, sets)

@@ -1,13 +1,13 @@
-"""Answers all over a grid: regions for the file, blocks for the cores, chunks for the cache.
+"""Answers all over a grid: regions for the file, blocks for the cores and the devices, chunks for the cache.
 
 A region is a box of the grid, small enough to be held in memory several times; it becomes one chunk of every variable of
-the file. Its lines of travel are numbered, and a block of them is unravelled, looked up and answered on the device. Each is
-answered at all speeds of the region.
+the file. Its lines of travel are numbered, and a block of them is unravelled, looked up and answered on the device; several
+devices take a block each. Each line is answered at all speeds of the region.
 """
 
 import math
 from collections.abc import Iterable, Iterator, Sequence
-from functools import partial
+from functools import cache, partial
 from itertools import chain
 from typing import NamedTuple
 
@@ -20,6 +20,7 @@ from jaxcap.batch import BLOCK, padded_cone, side_by_side
 from jaxcap.block import LANES, answer_block
 from jaxcap.capturability import LIMITS, capturability_along, capturability_at
 from jaxcap.cone import CentroidalCone, ConeRays
+from jaxcap.devices import Spread, spread_over
 from jaxcap.grid import Grid, look_up
 
 REGION = 1 << 20
@@ -82,7 +83,7 @@ class Answers:
     """The answers over a grid, region by region.
 
     cone: of one contact set. quantities: fields of `Capturability`; without a speed in the grid, `LIMITS` only. gravity:
-    (3,) [m/s^2]. dtype: of the computation.
+    (3,) [m/s^2]. dtype: of the computation. Several devices share the work, as in `score`.
     """
 
     def __init__(self, cone: CentroidalCone | ConeRays, grid: Grid, quantities: tuple[str, ...], gravity, dtype):
@@ -92,10 +93,18 @@ class Answers:
         tables = grid.tables(dtype)
         self._speeds = tables.pop("speed", np.zeros(0, dtype)) if grid.polar else None
         lines = math.prod(self.regions.region(0).shape(self._dims))
-        blocks = -(-lines // BLOCK)
-        self._block = -(-lines // (blocks * LANES)) * LANES
+        devices = spread_over(cone)
+        self._shares = max(len(devices), 1)
+        blocks = -(-lines // (BLOCK * self._shares)) * self._shares
+        self._size = -(-lines // (blocks * LANES)) * LANES
         arguments = (jax.tree.map(jnp.asarray, padded_cone(cone)), jax.tree.map(jnp.asarray, tables))
-        self._arguments = (*arguments, jnp.asarray(gravity, dtype))
+        arguments = (*arguments, jnp.asarray(gravity, dtype))
+        options = {"names": self._names, "size": self._size, "fields": self.quantities}
+        if self._shares == 1:
+            self._answer = partial(_compiled, *arguments, **options)
+        else:
+            spread = _spread(devices, **options)
+            self._answer = partial(_on_all, spread, spread.everywhere(arguments))
 
     def dims(self, quantity: str) -> tuple[str, ...]:
         """The dimensions of a quantity: those of the grid, without the speed where it does not depend on that."""
@@ -114,7 +123,7 @@ class Answers:
         the hands of the caller, blocks of the next are being computed.
         """
         chosen = map(self.regions.region, numbers)
-        starts = lambda region: range(0, math.prod(region.shape(self._dims)), self._block)
+        starts = lambda region: range(0, math.prod(region.shape(self._dims)), self._size * self._shares)
         items, blocks = chain.from_iterable(((region, start) for start in starts(region)) for region in chosen), []
         if numbers:
             jax.block_until_ready(self._answered(self.regions.region(0), 0))   # compiles, once for all threads
@@ -124,23 +133,23 @@ class Answers:
                 yield region, {name: self._assembled(region, name, blocks) for name in self.quantities}
                 blocks = []
 
-    def _answered(self, region: Region, start: int) -> dict[str, Array]:
-        """The quantities of the block of a region that begins with this line."""
-        options = {"names": self._names, "size": self._block, "fields": self.quantities}
-        return _compiled(*self._arguments, *self._of(region, start), **options)
+    def _answered(self, region: Region, start: int) -> dict[str, Array | np.ndarray]:
+        """The quantities of the block of a region that begins with this line; with several devices, of one block each."""
+        first = np.int32(start) if self._shares == 1 else start + self._size * np.arange(self._shares, dtype=np.int32)
+        return self._answer(first, *self._of(region))
 
-    def _of(self, region: Region, start: int) -> tuple:
-        """What the program has to know of a block: where its region and the block begin, the region's shape, its speeds."""
+    def _of(self, region: Region) -> tuple:
+        """What the program has to know of a region: where it begins, its shape, its speeds."""
         whole = {name: region.slices.get(name, slice(0, 1)) for name in self._names}
         first = np.array([part.start for part in whole.values()], np.int32)
         shape = np.array([part.stop - part.start for part in whole.values()], np.int32)
         if self._speeds is None:
-            return np.int32(start), first, shape, None
+            return first, shape, None
         part, step = region.slices.get("speed", slice(0, None)), self.regions.steps.get("speed", 0)
         speeds = self._speeds[part]
-        return np.int32(start), first, shape, np.pad(speeds, (0, max(step - len(speeds), 0)))
+        return first, shape, np.pad(speeds, (0, max(step - len(speeds), 0)))
 
-    def _assembled(self, region: Region, name: str, blocks: list[dict[str, Array]]) -> np.ndarray:
+    def _assembled(self, region: Region, name: str, blocks: list[dict[str, Array | np.ndarray]]) -> np.ndarray:
         """A quantity of a region from those of its blocks."""
         shape, dims = region.shape(self._dims), self.dims(name)
         values = np.concatenate([block[name] for block in blocks])[: math.prod(shape)]
@@ -176,3 +185,18 @@ def _unravelled(index: Int[Array, " n"], shape: Int[Array, " d"]) -> Int[Array, 
 
 
 _compiled = jax.jit(_answers, static_argnames=("names", "size", "fields"))
+
+
+@cache
+def _spread(devices: tuple[jax.Device, ...], **options) -> Spread:
+    """A program of which each device takes the block that begins with its line."""
+
+    def one(common, start):
+        arguments, region = common
+        return _answers(*arguments, start[0], *region, **options)
+
+    return Spread(one, devices)
+
+
+def _on_all(spread: Spread, arguments, starts, *region) -> dict[str, np.ndarray]:
+    return spread((arguments, spread.everywhere(region)), starts)

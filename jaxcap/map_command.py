@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 import jax
 import tyro
 
+from jaxcap.compile_cache import compilation_cache
 from jaxcap.contact_files import read_contacts
 from jaxcap.errors import InputError
 from jaxcap.grid import axes_around, grid
@@ -51,6 +52,11 @@ OUT
   Both open with xarray.open_dataset: dimensions in the order given, units, the
   contacts, gravity, sides and version as attributes. Angles are in radians.
 
+COMPILING
+  Takes seconds, once a run. With --cache DIR the programs are kept in DIR,
+  which is made if need be, and the next run takes them from there. They are
+  code: use no DIR that is written to by anyone whom you do not trust.
+
 EXIT CODES
   0 done; 2 bad input, and one line says which; 130 interrupted.
 """
@@ -65,6 +71,7 @@ def map_kernel(
     quantity: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="NAME")] = (),
     dtype: Literal["float32", "float64"] = "float32",
     sides: int = 4,
+    cache: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
     force: bool = False,
 ) -> None:
     """Computes a map and writes it; see MAP.
@@ -78,6 +85,7 @@ def map_kernel(
         quantity: What to map; as often as needed.
         dtype: Precision of the computation and of the figures written.
         sides: Edges of the pyramid that replaces each friction cone, at least 3.
+        cache: Keep compiled programs in this directory.
         force: Overwrite OUT if it exists.
     """
     from jaxcap.maps import write_map
@@ -89,7 +97,7 @@ def map_kernel(
     points = grid(axes)
     start = time.perf_counter()
     try:
-        with jax.enable_x64(dtype == "float64"):
+        with jax.enable_x64(dtype == "float64"), compilation_cache(cache):
             options = {"sides": sides, "dtype": dtype, "force": force, "progress": True}
             computed = write_map(output, stance, axes, quantity or None, **options)
     except (KeyboardInterrupt, SystemExit):

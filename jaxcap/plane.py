@@ -40,6 +40,11 @@ def rotated(vector: Float[Array, "2 *n"]) -> Float[Array, "2 *n"]:
     return jnp.stack([-vector[1], vector[0]])
 
 
+def column(vectors: Float[Array, "2 k *n"], index: Int[Array, "*n"]) -> Float[Array, "2 *n"]:
+    """One of the vectors for each lane; the last for an index beyond."""
+    return jnp.take_along_axis(vectors, jnp.minimum(index, vectors.shape[1] - 1)[None, None], axis=1)[:, 0]
+
+
 class Nearest(NamedTuple):
     """What the signed distance of points to a region depends on: the edge that is nearest in each of two senses."""
 

@@ -5,7 +5,6 @@ all around, then patches that close in on the weakest directions of the grid, sl
 along a kink. All patches are scored as one batch, of the same size as the grid.
 """
 
-import functools
 from typing import NamedTuple
 
 import jax
@@ -68,16 +67,15 @@ def robustness(
     return Robustness(speed, jnp.where(standing & jnp.isfinite(largest), weakest, jnp.nan))
 
 
-@functools.partial(jax.jit, static_argnames="horizontal")
-def _weakest(cone, com, horizontal: bool, gravity) -> Float[Array, "3"]:
+@jax.jit
+def _weakest(cone, com, horizontal, gravity) -> Float[Array, "3"]:
     """The direction with the smallest `max_speed`, or one that is undecided."""
-    size = SIDE * SIDE
-    grid = jnp.asarray((headings if horizontal else sphere)(STARTS * size), com.dtype)
-    row, side = jnp.linspace(-1, 1, size, dtype=com.dtype), jnp.linspace(-1, 1, SIDE, dtype=com.dtype)
-    square = jnp.stack(jnp.meshgrid(side, side), axis=-1).reshape(-1, 2)
-    offsets = jnp.stack([row, jnp.zeros_like(row)], axis=1) if horizontal else square
-    shrink = 2 * KEPT / ((size if horizontal else SIDE) - 1)
-    rounds = int(np.ceil(np.log(np.sqrt(jnp.finfo(com.dtype).eps) / APART) / np.log(shrink)))
+    size, dtype = SIDE * SIDE, com.dtype
+    row, side = jnp.linspace(-1, 1, size, dtype=dtype), jnp.linspace(-1, 1, SIDE, dtype=dtype)
+    row, square = jnp.stack([row, jnp.zeros_like(row)], axis=1), jnp.stack(jnp.meshgrid(side, side), axis=-1).reshape(-1, 2)
+    shrink = 2 * KEPT / (jnp.where(horizontal, size, SIDE) - 1)
+    finest = np.sqrt(jnp.finfo(dtype).eps)
+    rounds = jnp.ceil(jnp.log(finest / APART) / jnp.log(shrink)).astype(jnp.int32)
 
     def closer(count, found):
         patches, *_ = found
@@ -85,10 +83,12 @@ def _weakest(cone, com, horizontal: bool, gravity) -> Float[Array, "3"]:
         speeds = score(cone, jnp.broadcast_to(com, directions.shape), directions, gravity).max_speed
         best = jnp.argmin(speeds.reshape(STARTS, size), axis=1) + size * jnp.arange(STARTS)   # NaN counts as the smallest
         best = jnp.where(count == 0, _apart(directions, speeds), best)
-        turned = offsets if horizontal else offsets @ _rotation(TURN * count, com.dtype)
-        return _around(directions[best], APART * shrink**count * turned), directions[best], speeds[best]
+        offsets = jnp.where(horizontal, row, square @ _rotation(TURN * count, dtype))
+        reach = (APART * shrink**count).astype(dtype)
+        return _around(directions[best], reach * offsets), directions[best], speeds[best]
 
-    start = grid.reshape(STARTS, size, 3), jnp.zeros((STARTS, 3), com.dtype), jnp.zeros(STARTS, com.dtype)
+    grid = jnp.where(horizontal, headings(STARTS * size), sphere(STARTS * size)).astype(dtype)
+    start = grid.reshape(STARTS, size, 3), jnp.zeros((STARTS, 3), dtype), jnp.zeros(STARTS, dtype)
     _, directions, speeds = jax.lax.fori_loop(0, rounds + 2, closer, start)
     return directions[jnp.argmin(speeds)]
 

@@ -6,11 +6,12 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Num
 
-from jaxcap.batch import RAYS_BLOCK, _block, _over_chunks, side_by_side
+from jaxcap.batch import RAYS_BLOCK, _block, side_by_side
+from jaxcap.block import over_chunks
 from jaxcap.capturability import GRAVITY
 from jaxcap.cone import CentroidalCone, ConeRays
 from jaxcap.contacts import ContactSet, FloatArray
-from jaxcap.plane import Edge, across, first_edge, walk_around
+from jaxcap.plane import Edge, across, column, first_edge, walk_around
 from jaxcap.ray_support import nearest_of_rays
 from jaxcap.support_polygon import SupportPolygon, support_polygon
 
@@ -46,7 +47,7 @@ def hull_distance(contacts: ContactSet, points: Num[FloatArray, "*n 2"], gravity
     contacts: one set, or a batch of n, a set for each row of `points`. Masked contacts are left out; without any other the
     distance is minus infinite. Frames and friction do not matter, so only for coplanar contacts is this the support polygon.
     """
-    points = _floats(points)
+    points, contacts = _floats(points), contacts.padded(max(1, len(contacts)))
     positions, mask = jnp.asarray(contacts.points).astype(points.dtype), jnp.asarray(contacts.mask)
     return _distances(_to_hull, "contacts", (positions, mask), mask.ndim == 2, points, gravity)
 
@@ -82,7 +83,7 @@ _compiled_one = jax.jit(lambda one, *arguments: one(*arguments), static_argnums=
 
 @partial(jax.jit, static_argnums=0)
 def _compiled_block(one, rows, gravity):
-    return _over_chunks(lambda lanes: one(lanes[0], jnp.moveaxis(lanes[1], 1, 0), gravity), rows)
+    return over_chunks(lambda lanes: one(lanes[0], jnp.moveaxis(lanes[1], 1, 0), gravity), rows)
 
 
 def _finite(points):
@@ -107,17 +108,17 @@ def _to_hull(contacts, points: Float[Array, "2 m *n"], gravity) -> Float[Array, 
     project = lambda arms: jnp.tensordot(across(gravity), arms, axes=(1, 1), precision=jax.lax.Precision.HIGHEST)
     corners = jnp.where(mask, project(jnp.where(mask[:, None], positions - origin, 0)), 0)
     size, same = jnp.max(jnp.abs(corners), axis=(0, 1)), SAME_POINT * float(jnp.finfo(points.dtype).eps)
-    corner = lambda index: jnp.take_along_axis(corners, jnp.minimum(index, len(mask) - 1)[None, None], axis=1)[:, 0]
 
     def follow(normal, vertex, _) -> Edge:
         ways = jnp.where(mask, corners - vertex[:, None], 0)
         index, sound = first_edge(normal, ways, size, same)
-        way, exists = corner(index) - vertex, index < len(mask)
-        size = jnp.where(exists, jnp.sqrt(jnp.sum(way * way, axis=0)), 1)
-        return Edge(way / size, corner(index), exists, jnp.ones_like(exists), sound, ())
+        end, exists = column(corners, index), index < len(mask)
+        way = end - vertex
+        along = way / jnp.where(exists, jnp.sqrt(jnp.sum(way * way, axis=0)), 1)
+        return Edge(along, end, exists, jnp.ones_like(exists), sound, ())
 
     stands, known = jnp.any(mask, axis=0), jnp.all(jnp.isfinite(corners), axis=(0, 1))
-    first = corner(jnp.argmax(jnp.where(mask, corners[0], -jnp.inf), axis=0))
+    first = column(corners, jnp.argmax(jnp.where(mask, corners[0], -jnp.inf), axis=0))
     local = points - jnp.tensordot(across(gravity), origin, axes=1, precision=jax.lax.Precision.HIGHEST)[:, None]
     nearest, sound = walk_around(follow, first, (), jax.lax.stop_gradient(local), stands & known, 4 * len(mask) + 8)
     distance = jnp.where(stands, nearest.distance(local), -jnp.inf)

@@ -21,6 +21,8 @@ FLAT = 1e-9
 """A face whose half-plane has a normal this small holds everywhere or nowhere: its line is 1e9 stances away."""
 PARALLEL = 1e-12
 """Unit normals that differ by this little belong to parallel lines."""
+EDGES = 16
+"""Edges are repeated up to a multiple of this number, so that few sizes are compiled."""
 SAME = 1e-9
 """Points this close, relative to the size of the stance, are one."""
 
@@ -50,24 +52,17 @@ class SupportPolygon(NamedTuple):
 
     def distance(self, points: Float[Array, "*n 2"]) -> Float[Array, "*n"]:
         """Signed distance of points [m], as `support_distance` has it."""
-        edges = jax.tree.map(lambda x: jnp.asarray(x).astype(points.dtype), self._replace(vertices=None, empty=None))
         known = jnp.all(jnp.isfinite(points), axis=-1)
-        local = jnp.where(known[..., None], points - edges.origin, 0)
+        local = jnp.where(known[..., None], points - jnp.asarray(self.origin).astype(points.dtype), 0)
         if len(self.offsets) == 0:
-            return jnp.where(known, jnp.where(self.empty, -jnp.inf, jnp.inf), jnp.nan).astype(points.dtype)
-        lines = jax.lax.stop_gradient(local)[..., None, :]
-        along = rotated(edges.normals.T).T
-        room = edges.offsets - jnp.sum(edges.normals * lines, axis=-1)
-        way = jnp.clip(jnp.sum(along * lines, axis=-1), edges.low, edges.high)
-        feet = edges.offsets[:, None] * edges.normals + along * way[..., None]
-        pick = lambda values, index: jnp.take_along_axis(values, index[..., None, None], axis=-2)[..., 0, :]
-        nearest = jnp.argmin(jnp.sum((lines - feet) ** 2, axis=-1), axis=-1)
-        tightest = jnp.argmin(room, axis=-1)
-        last = lambda vectors: jnp.moveaxis(vectors, -1, 0).reshape(2, -1)
-        answer = Nearest(
-            normal=last(edges.normals[tightest]), offset=edges.offsets[tightest].reshape(-1), foot=last(pick(feet, nearest))
-        )
-        return jnp.where(known, answer.distance(last(local)).reshape(known.shape), jnp.nan)
+            distance = jnp.where(self.empty, -jnp.inf, jnp.full(known.shape, jnp.inf, points.dtype))
+        else:
+            xp = self.offsets.__array_namespace__()
+            repeat = lambda x: xp.pad(x, [(0, -len(x) % EDGES)] + [(0, 0)] * (x.ndim - 1), mode="edge")
+            edges = (repeat(x) for x in (self.normals, self.offsets, self.low, self.high))
+            edges = (jnp.asarray(x).astype(points.dtype) for x in edges)
+            distance = _distance(*edges, local.reshape(-1, 2)).reshape(known.shape)
+        return jnp.where(known, distance, jnp.nan)
 
 
 def support_polygon(cone: CentroidalCone, gravity=GRAVITY) -> SupportPolygon:
@@ -93,11 +88,24 @@ def support_polygon(cone: CentroidalCone, gravity=GRAVITY) -> SupportPolygon:
     edges = (low <= high + SAME) & holds
     empty = not holds or (len(offsets) > 0 and not edges.any())
     normals, offsets, low, high = normals[edges], offsets[edges], low[edges], high[edges]
-    middle = np.where(low > high, (low + high) / 2, 0)
-    low, high = np.where(low > high, middle, low), np.where(low > high, middle, high)
+    crossed = low > high
+    low[crossed] = high[crossed] = (low[crossed] + high[crossed]) / 2
     origin = axes @ _double(cone.origin)
     vertices = origin + length * _vertices(normals, offsets, low, high)
     return SupportPolygon(normals, length * offsets, length * low, length * high, vertices, origin, np.asarray(empty))
+
+
+@jax.jit
+def _distance(normals, offsets, low, high, points: Float[Array, "n 2"]) -> Float[Array, " n"]:
+    """Signed distance of points to a region with these edges, both relative to the same origin."""
+    lines = jax.lax.stop_gradient(points)[:, None]
+    along = rotated(normals.T).T
+    room = offsets - jnp.sum(normals * lines, axis=-1)
+    way = jnp.clip(jnp.sum(along * lines, axis=-1), low, high)
+    feet = offsets[:, None] * normals + along * way[..., None]
+    nearest, tightest = jnp.argmin(jnp.sum((lines - feet) ** 2, axis=-1), axis=-1), jnp.argmin(room, axis=-1)
+    foot = jnp.take_along_axis(feet, nearest[:, None, None], axis=1)[:, 0]
+    return Nearest(normals[tightest].T, offsets[tightest], foot.T).distance(points.T)
 
 
 def _double(array) -> np.ndarray:

@@ -20,6 +20,8 @@ UP = np.eye(3)
 RAYS = 16
 """Contacts of a ray form, padded: compiled once."""
 FACES = 640
+FEW = 5
+"""Lines of a CoM area: as many states as there are `MANY` directions, once they are padded."""
 MANY = 255
 """Directions: few shapes, each of which is compiled once."""
 
@@ -186,10 +188,10 @@ def test_robustness_over_flat_ground_is_the_nearest_edge(form):
 def test_robustness_is_the_smallest_of_many_directions(samples):
     """A finer grid all around, and directions ever closer to the one found, have nothing that is weaker."""
     rng = np.random.default_rng(0)
-    for _, cone, com in samples:
-        for horizontal, grid in ((False, sphere(16384)), (True, headings(16384))):
+    for _, cone, com in samples[:6]:
+        for horizontal, grid in ((False, sphere(8192)), (True, headings(8192))):
             found = robustness(cone, com, horizontal)
-            near = 10.0 ** rng.uniform(-8, -1, (16384, 1)) * rng.normal(size=(16384, 3)) * [1, 1, not horizontal]
+            near = 10.0 ** rng.uniform(-8, -1, (8192, 1)) * rng.normal(size=(8192, 3)) * [1, 1, not horizontal]
             directions = np.concatenate([grid, found.direction + near])
             least = jaxcap.score(cone, np.tile(com, (len(directions), 1)), directions).max_speed.min()
             assert found.speed <= least * (1 + 1e-9) + 1e-12
@@ -199,16 +201,12 @@ def test_robustness_is_the_smallest_of_many_directions(samples):
 
 
 def test_robustness_along_a_kink_of_the_largest_speed():
-    """C1 meets C2 at this weakest direction, with a steep side and a flat one: a search by halves would stick to the kink."""
-    arrays, cone, com = next(sample for sample in standing_samples(5, 40, (3,)) if kinked(sample))
-    test_robustness_is_the_smallest_of_many_directions([(arrays, cone, com)])
-
-
-def kinked(sample) -> bool:
-    """The case changes next to the weakest direction."""
-    _, cone, com = sample
+    """C1 meets C2 at this weakest direction, between a steep side and a flat one: a hasty search sticks to the kink."""
+    *_, (arrays, cone, com) = standing_samples(5, 15, (3,))   # the first of them with such a kink
     towards = robustness(cone, com).direction + 1e-4 * sphere(MANY)
-    return len(np.unique(jaxcap.score(cone, np.tile(com, (MANY, 1)), 100 * towards).case)) > 1
+    cases = np.asarray(jaxcap.score(cone, np.tile(com, (MANY, 1)), 100 * towards).case)
+    assert set(cases) == {jaxcap.Case.C1, jaxcap.Case.C2}
+    test_robustness_is_the_smallest_of_many_directions([(arrays, cone, com)])
 
 
 def test_yaw_and_translation_turn_and_keep_robustness(samples):
@@ -255,13 +253,13 @@ def test_gradient_of_robustness_is_its_finite_difference(samples):
     for _, cone, com in samples[:3]:
         gradient = jax.grad(lambda com, cone=cone: robustness(cone, com).speed)(com)
         for axis in np.eye(3):
-            ends = [robustness(cone, com + sign * 1e-5 * axis).speed for sign in (-1, 1)]
-            assert gradient @ axis == pytest.approx((ends[1] - ends[0]) / 2e-5, rel=1e-3, abs=1e-4)
+            ends = [float(robustness(cone, com + sign * 1e-5 * axis).speed) for sign in (-1, 1)]
+            assert float(gradient @ axis) == pytest.approx((ends[1] - ends[0]) / 2e-5, rel=1e-3, abs=1e-4)
 
 
 def test_robustness_under_jit_and_vmap(samples):
     _, cone, com = samples[0]
-    coms = np.stack([com, com + [0.01, 0, 0], com + [5, 0, 0]])
+    coms = com + np.array([[0, 0, 0], [0.01, 0, 0], [5, 0, 0]])
     many = jax.jit(jax.vmap(lambda com: robustness(cone, com, horizontal=True)))(coms)
     for i in range(3):
         alone = robustness(cone, coms[i], horizontal=True)
@@ -363,11 +361,11 @@ def test_masked_contacts_do_nothing():
 def test_the_com_area_over_flat_ground_is_the_feet_shifted_back(form):
     """By velocity / omega; every vertex lies on an edge."""
     velocity = np.array([0.3, 0.2, 0])
-    area = com_area(form(FEET), velocity, HEIGHT)
+    area = com_area(form(FEET), velocity, HEIGHT, lines=FEW)
     (outline,) = area.outline()
     ahead = np.abs(outline + velocity[:2] / OMEGA) - [0.1, 0.15]
     np.testing.assert_allclose(ahead.max(axis=1), 0, atol=1e-9)
-    assert area.size() == pytest.approx(0.2 * 0.3, rel=1e-3)
+    assert area.size() == pytest.approx(0.2 * 0.3, rel=0.1)   # a few lines cut the corners
 
 
 def test_the_com_area_is_where_the_verdict_is_yes(samples):
@@ -376,7 +374,7 @@ def test_the_com_area_is_where_the_verdict_is_yes(samples):
     found = np.zeros(2, int)
     for arrays, cone, com in samples[:4]:
         velocity = np.array([*rng.normal(size=2), 0]) * 0.3
-        area = com_area(cone, velocity, com[2], lines=64)
+        area = com_area(cone, velocity, com[2])
         low, high = arrays[0].min(axis=0)[:2] - 0.4, arrays[0].max(axis=0)[:2] + 0.4
         places = np.concatenate([rng.uniform(low, high, (2000, 2)), (area.rear + area.front) / 2])
         places = places[np.isfinite(places).all(axis=1)]
@@ -406,11 +404,11 @@ def in_polygons(polygons, places):
 @forms
 def test_com_areas_of_degenerate_sets(form):
     velocity = np.array([0.3, 0, 0])
-    everywhere = com_area(form(PALMS), velocity, 1.0, reach=1.0)
-    assert everywhere.size() == pytest.approx(4, rel=1e-2)
-    one = com_area(form(points([0, 0, 0])), velocity, HEIGHT)
+    everywhere = com_area(form(PALMS), velocity, 1.0, FEW, reach=1.0)
+    assert everywhere.size() == pytest.approx(4, rel=0.1)
+    one = com_area(form(points([0, 0, 0])), velocity, HEIGHT, FEW)
     assert one.size() == pytest.approx(0, abs=1e-4)
-    wall = com_area(form(foot(0.5, 0, 0.5, 1, rotation(0, -np.pi / 2, 0))), velocity, 1.0)
+    wall = com_area(form(foot(0.5, 0, 0.5, 1, rotation(0, -np.pi / 2, 0))), velocity, 1.0, FEW)
     assert wall.outline() == []
     assert wall.size() == 0
 

@@ -1,0 +1,84 @@
+"""Peak memory against the number of states: it has to stay level. `jaxcap map` and `jaxcap score`, each in its own process.
+
+`peak` is the largest resident memory of the process, interpreter and JAX included, as Linux counts it for the program alone
+(VmHWM); elsewhere ru_maxrss. The map is that of `bench.maps` (the verdict alone), the file a Parquet file of random states.
+"""
+
+import json
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from bench.stances import DATA
+
+CONTACTS = DATA / "talos_two_feet.yaml"
+SEED = 0
+ROWS = 1 << 20
+"""Rows of a file that are drawn and written at a time."""
+CHILD = """
+import json, resource, sys, time
+from jaxcap.cli import main
+
+def peak():
+    try:
+        with open("/proc/self/status") as status:
+            return next(int(line.split()[1]) * 1024 for line in status if line.startswith("VmHWM"))
+    except OSError:
+        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
+
+start = time.perf_counter()
+code = main(sys.argv[1:])
+print(json.dumps({"seconds": time.perf_counter() - start, "peak_bytes": peak()}))
+sys.exit(code)
+"""
+
+
+def in_process(command: list[str]) -> dict:
+    """Runs `jaxcap` with these arguments. Returns its seconds, without starting Python, and its peak memory."""
+    done = subprocess.run([sys.executable, "-c", CHILD, *command], capture_output=True, text=True)
+    if done.returncode:
+        raise RuntimeError(done.stderr)
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+def write_states(path: Path, count: int) -> None:
+    """A Parquet file of random states over two feet, float32."""
+    rng = np.random.default_rng(SEED)
+    vectors = pa.list_(pa.float32(), 3)
+    with pq.ParquetWriter(path, pa.schema({"com": vectors, "com_velocity": vectors})) as file:
+        for begin in range(0, count, ROWS):
+            rows = min(ROWS, count - begin)
+            coms = rng.uniform([-0.2, -0.2, 0.7], [0.2, 0.2, 1.0], (rows, 3)).astype(np.float32)
+            velocities = rng.uniform(-1, 1, (rows, 3)).astype(np.float32)
+            columns = [pa.FixedSizeListArray.from_arrays(pa.array(x.ravel()), 3) for x in (coms, velocities)]
+            file.write_table(pa.table(columns, schema=file.schema))
+
+
+def lines(most: int) -> list[dict]:
+    """One line for each command and power of ten from 10^5 states up to `most`."""
+    from bench.maps import axes
+
+    found = []
+    sizes = [10**k for k in range(5, 12) if 10**k <= most] or [most]
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        for count in sizes:
+            options = [f"--axis={axis}={text}" for axis, text in axes(CONTACTS, count).items()]
+            command = ["map", str(CONTACTS), "-o", str(folder / f"{count}.zarr"), *options]
+            found.append(("map", count, in_process([*command, "--quantity=capturable", "--quantity=margin"])))
+        for count in sizes:
+            states, scores = folder / f"{count}.parquet", folder / f"{count}.scores.parquet"
+            write_states(states, count)
+            command = ["score", str(states), "--contacts", str(CONTACTS), "-o", str(scores)]
+            found.append(("score", count, in_process(command)))
+            states.unlink()
+            scores.unlink()
+    return [
+        {"command": which, "states": count, "peak MB": line["peak_bytes"] / 1e6, "states/s": count / line["seconds"]}
+        for which, count, line in found
+    ]
