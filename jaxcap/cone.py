@@ -19,7 +19,7 @@ class CentroidalCone:
     """All wrenches that the contacts can exert: faces @ (force, torque about `origin`) <= 0, (6).
 
     A row is a face, an equality a pair of opposite rows; rows of zeros are padding. Rows are scaled such that
-    (faces[:, :3], faces[:, 3:] / length) have unit length.
+    (faces[:, :3], faces[:, 3:] * length) have unit length.
     """
 
     faces: Float[FloatArray, "*batch m 6"]

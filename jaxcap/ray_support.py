@@ -30,7 +30,7 @@ SHORT = {64: 1e-8, 32: 1e-5}
 for rounding have nearly equal rays, and a basis should not hold two of them. The target then moves to where the weight is
 zero: a weight that stays below zero would become a long step back over a small pivot."""
 LOST = 30
-"""A weight this many times farther below zero shows that the vertex is none."""
+"""A weight that is below zero by more than this many times SHORT shows that the vertex is none."""
 ATTEMPTS = 3
 """Where the walk gets lost, it begins again from another side of the polygon, so many times in all."""
 MAX_EDGES = 512
@@ -47,6 +47,7 @@ class Corner(NamedTuple):
     """Of the basis, those of rays not negative."""
     sound: Bool[Array, "*n"]
     """No weight was farther below zero than it may be."""
+
 
 def nearest_of_rays(rays: ConeRays, points: Float[Array, "2 m *n"], gravity: Float[Array, "3"]):
     """`Nearest` of points to the support polygon; whether the polygon is not empty; whether to trust that.
@@ -110,7 +111,7 @@ def _program(rays: ConeRays, up, axes) -> tuple[Program, Float[Array, "2 r *n"]]
     columns = jnp.concatenate([forces, project(up)[None], load[None], positions[:1]])
     unit = lambda row, k: jnp.zeros((k, *columns.shape[2:]), columns.dtype).at[row].set(1)
     columns = jax.lax.optimization_barrier(jnp.concatenate([columns, unit(4, 6)[:, None]], axis=1))
-    positions = jnp.concatenate([positions, unit(0, 2)[:, None] * 0], axis=1)
+    positions = jnp.concatenate([positions, jnp.zeros_like(positions[:, :1])], axis=1)
     target = jnp.concatenate([up, jnp.array([0, 1, 0], up.dtype)])
     target = jnp.broadcast_to(target.reshape(6, *[1] * (columns.ndim - 2)), (6, *columns.shape[2:]))
     # A random amount of every ray: ties are broken, and the cone is closed in spite of rounding.
