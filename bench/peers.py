@@ -31,7 +31,7 @@ LIBRARIES = (
 )
 """Loaded by hand, in this order: the wheels' modules do not know where theirs are."""
 DURATION, DURATIONS = 0.8, tuple(np.round(np.arange(0.2, 2.01, 0.2), 1))
-"""[s]; the one finds the most verdicts of all, and more durations than these find no more."""
+"""[s]; the one finds about the most verdicts of all."""
 STEP = 0.02
 """[s]"""
 SIDES = 4

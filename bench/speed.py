@@ -25,6 +25,7 @@ the extras sim, data and cli; memory also maps.
 import argparse
 import json
 import os
+import sys
 from pathlib import Path
 
 import jax
@@ -99,7 +100,8 @@ def sections(options):
 
 
 def precisely(dtype: str, function, *arguments):
-    """function(*arguments), with JAX's switch for double precision as this dtype needs it."""
+    """function(*arguments), with JAX's switch for double precision as this dtype needs it. Says on stderr that it begins."""
+    print(function.__module__, *(x for x in arguments if isinstance(x, str | int)), file=sys.stderr, flush=True)
     with jax.enable_x64(dtype == "float64"):
         return function(*arguments)
 
@@ -145,6 +147,8 @@ def main(arguments=None) -> None:
         tables[name] = lines
         print(f"{name}\n{table(lines)}\n", flush=True)
     if options.json:
+        known = lambda line: {name: None if value != value else value for name, value in line.items()}   # JSON has no NaN
+        tables = {name: [known(line) for line in lines] for name, lines in tables.items()}
         with whole_file(options.json, force=False) as file:
             file.write((json.dumps({**about, "tables": tables}, indent=1) + "\n").encode())
 

@@ -60,5 +60,5 @@ def line(producer: str, name: str, dtype: str, limits: Ceilings, options) -> tup
     said |= {"pieces": found.pieces, "pivots": found.pivots, "not ok": int(np.sum(answer.status != jaxcap.Status.OK))}
     if "paper" in timed:
         triples = zip(timed["paper"].answer, answer.capturable, answer.margin, strict=False)
-        said["differ"] = sum(a is not None and a != b and abs(m) > BAND[dtype] for a, b, m in triples)
+        said["differ"] = int(sum(a is not None and a != b and abs(m) > BAND[dtype] for a, b, m in triples))
     return line, said
