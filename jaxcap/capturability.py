@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int8, Num
 
 from jaxcap.boundary import Boundary, End
@@ -80,7 +81,8 @@ def capturability(
 
     Source: Section III, Algorithms 1 and 2, with the energy in place of time; C3.3, which the paper leaves open, by swings.
     """
-    com, com_velocity = jnp.asarray(com), jnp.asarray(com_velocity)
+    # NumPy arrays go to the compiled program as they are: to make JAX's of them first takes longer than the answer.
+    com, com_velocity = (x if isinstance(x, jax.Array) else np.asarray(x) for x in (com, com_velocity))
     for name, value in (("com", com), ("com_velocity", com_velocity)):
         if value.shape != (3,):
             raise TypeError(f"{name} has shape {value.shape} (expected (3,); `score` takes many states)")
