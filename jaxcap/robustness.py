@@ -93,7 +93,7 @@ def _weakest(cone, com, horizontal, gravity) -> Float[Array, "3"]:
     return directions[jnp.argmin(speeds)]
 
 
-def _apart(directions, speeds) -> Int[Array, "{STARTS}"]:
+def _apart(directions, speeds) -> Int[Array, " starts"]:
     """The weakest direction, the weakest of those far enough from it, and so on."""
     found = []
     for _ in range(STARTS):
