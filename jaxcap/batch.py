@@ -70,7 +70,7 @@ def score(
     else:
         spread = _spread(devices, neighbours)
         answer = partial(spread, spread.everywhere((common, gravity)))
-    run = lambda start: answer(_block(per_state, n, start, block, shares))
+    run = lambda start: answer(block_of(per_state, n, start, block, shares))
     first, *starts = range(0, max(n, 1), block)
     parts = [run(first), *side_by_side(run, starts)]
     return jax.tree.map(lambda *fields: jnp.concatenate(fields)[:n], *parts)
@@ -106,7 +106,7 @@ def side_by_side(run, items: Iterable, ahead: int = sys.maxsize) -> Iterator:
                 future.cancel()
 
 
-def _block(per_state, n: int, start: int, block: int, shares: int = 1):
+def block_of(per_state, n: int, start: int, block: int, shares: int = 1):
     """One block of n states, padded to the next of a few sizes, each of which is compiled once, in equal shares."""
     rows = -(-min(block, n - start) // shares)
     most = block // shares

@@ -6,7 +6,7 @@ by its indices, on the host and on the device in the same arithmetic.
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -206,3 +206,19 @@ def _from_text(name: str, text: str) -> Float[np.ndarray, "..."]:
     if name == "heading" and abs(abs(last - first) - 2 * math.pi) < FULL_CIRCLE:
         return first + math.copysign(2 * math.pi, last - first) * np.arange(count) / count   # its end is its beginning
     return np.linspace(first, last, count)
+
+
+def named_values(option: str, given: Iterable[str], expected: str) -> dict[str, str]:
+    """Names and texts of the values of an option of the command line, NAME=TEXT each, in the order given.
+
+    Raises InputError where there is no name, or one twice.
+    """
+    values = {}
+    for text in given:
+        name, equals, value = text.partition("=")
+        if not equals:
+            raise InputError(f"{option} {text} (expected {expected})")
+        if name in values:
+            raise InputError(f"{option} {name} is given twice")
+        values[name] = value
+    return values

@@ -11,7 +11,7 @@ import tyro
 from jaxcap.compile_cache import compilation_cache
 from jaxcap.contact_files import read_contacts
 from jaxcap.errors import InputError
-from jaxcap.grid import axes_around, grid
+from jaxcap.grid import axes_around, grid, named_values
 
 MAP = """Map where a robot can stop: capturability over a grid of states.
 
@@ -93,7 +93,7 @@ def map_kernel(
     if sides < 3:
         raise InputError(f"--sides {sides} (expected at least 3)")
     stance = read_contacts(contacts)
-    axes = axes_around(stance, _axes(axis))
+    axes = axes_around(stance, named_values("--axis", axis, "NAME=VALUES, for example com_x=-0.4:0.4:201"))
     points = grid(axes)
     start = time.perf_counter()
     try:
@@ -109,16 +109,3 @@ def map_kernel(
     before = f"; {points.size - computed} were there" if computed < points.size else ""
     rate = f"{computed / seconds:.3g} states/s ({seconds:.2f} s with compiling; {dtype}, {jax.default_backend()})"
     print(f"{output}: {extent}, {points.size} states{before}\n{rate}")
-
-
-def _axes(given: tuple[str, ...]) -> dict[str, str]:
-    """Names and texts of the axes, in the order given."""
-    axes = {}
-    for text in given:
-        name, equals, values = text.partition("=")
-        if not equals:
-            raise InputError(f"--axis {text} (expected NAME=VALUES, for example com_x=-0.4:0.4:201)")
-        if name in axes:
-            raise InputError(f"--axis {name} is given twice")
-        axes[name] = values
-    return axes

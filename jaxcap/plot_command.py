@@ -11,8 +11,8 @@ import tyro
 from jaxcap.contact_files import read_contacts
 from jaxcap.contacts import ContactSet
 from jaxcap.errors import InputError, needs_extra
-from jaxcap.grid import AXES
-from jaxcap.records import whole_file
+from jaxcap.grid import AXES, named_values
+from jaxcap.records import check_output, whole_file
 
 PLOT = """Draw a kernel map: where a robot can stop, and which pushes it stands.
 
@@ -80,7 +80,7 @@ def plot(
     from jaxcap.plotting.map_figure import map_figure
 
     output = map_file.with_suffix(".png") if output is None else output
-    _check_output(output, force)
+    check_output(output, force=force, extensions=FIGURES)
     selection = _selection(select)
     with _opened(map_file) as dataset:
         contacts = _contacts(map_file, dataset.attrs)
@@ -99,32 +99,16 @@ def plot(
 def _selection(given: tuple[str, ...]) -> dict[str, float]:
     """Names and values, angles in radians."""
     selection = {}
-    for text in given:
-        name, equals, value = text.partition("=")
-        if not equals:
-            raise InputError(f"--select {text} (expected NAME=VALUE, for example heading=90deg)")
-        if name in selection:
-            raise InputError(f"--select {name} is given twice")
+    for name, value in named_values("--select", given, "NAME=VALUE, for example heading=90deg").items():
         degrees = value.endswith("deg") and name in AXES and AXES[name].unit == "rad"
         try:
             number = float(value.removesuffix("deg") if degrees else value)
         except ValueError:
-            raise InputError(f"--select {text} (expected a number after {name}=)") from None
+            raise InputError(f"--select {name}={value} (expected a number after {name}=)") from None
         if not math.isfinite(number):
-            raise InputError(f"--select {text} (expected a finite number)")
+            raise InputError(f"--select {name}={value} (expected a finite number)")
         selection[name] = math.radians(number) if degrees else number
     return selection
-
-
-def _check_output(path: Path, force: bool) -> None:
-    if path.suffix.lower() not in FIGURES:
-        raise InputError(f"{path}: unknown extension {path.suffix!r} (expected {', '.join(FIGURES)})")
-    if not path.parent.is_dir():
-        raise InputError(f"{path}: no such directory: {path.parent}")
-    if path.exists() and not path.is_file():
-        raise InputError(f"{path}: exists and is not a file")
-    if path.exists() and not force:
-        raise InputError(f"{path}: exists already (--force overwrites it)")
 
 
 def _opened(path: Path) -> Any:

@@ -58,13 +58,19 @@ def read_states(path: str | Path, batch_size: int, dtype=np.float32) -> "Parquet
     return ParquetStates(path, batch_size, np.dtype(dtype))
 
 
-def check_output(path: str | Path, *, force: bool = False, inputs: Iterable[str | Path] = ()) -> None:
+def check_output(
+    path: str | Path,
+    *,
+    force: bool = False,
+    inputs: Iterable[str | Path] = (),
+    extensions: tuple[str, ...] = EXTENSIONS,
+) -> None:
     """Raises InputError if `path` cannot be written: unknown extension, no such directory, an input, or there already.
 
     force: allow an existing file, unless it is one of `inputs`.
     """
     path = Path(path)
-    _extension(path)
+    _extension(path, extensions)
     if not path.parent.is_dir():
         raise InputError(f"{path}: no such directory: {path.parent}")
     if not path.exists():
@@ -154,8 +160,9 @@ def _sync(directory: Path) -> None:
             os.close(descriptor)
 
 
-def _extension(path: Path) -> str:
+def _extension(path: Path, extensions: tuple[str, ...] = EXTENSIONS) -> str:
     extension = path.suffix.lower()
-    if extension not in EXTENSIONS:
-        raise InputError(f"{path}: unknown extension {path.suffix!r} (expected {' or '.join(EXTENSIONS)})")
+    if extension not in extensions:
+        expected = f"{', '.join(extensions[:-1])} or {extensions[-1]}"
+        raise InputError(f"{path}: unknown extension {path.suffix!r} (expected {expected})")
     return extension

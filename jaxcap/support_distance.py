@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Num
 
-from jaxcap.batch import RAYS_BLOCK, _block, side_by_side
+from jaxcap.batch import RAYS_BLOCK, block_of, side_by_side
 from jaxcap.block import over_chunks
 from jaxcap.capturability import GRAVITY
 from jaxcap.cone import CentroidalCone, ConeRays
@@ -72,7 +72,7 @@ def _distances(one, name: str, region, own: bool, points, gravity):
     if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves((region, rows))):
         answer = _compiled_block(one, (region, rows), gravity)
     else:
-        run = lambda start: _compiled_block(one, _block((region, rows), n, start, RAYS_BLOCK), gravity)
+        run = lambda start: _compiled_block(one, block_of((region, rows), n, start, RAYS_BLOCK), gravity)
         first, *starts = range(0, max(n, 1), RAYS_BLOCK)
         answer = jnp.concatenate([run(first), *side_by_side(run, starts)])[:n]
     return answer.reshape(points.shape[:-1])

@@ -122,7 +122,7 @@ def test_nothing_is_overwritten_unasked(kernel, capsys):
     (["--select", "com_x=nan"], "--select com_x=nan (expected a finite number"),
     (["--select", "com_x=1deg"], "--select com_x=1deg (expected a number"),
     (["--select", "com_x=0", "--select", "com_x=0"], "--select com_x is given twice"),
-    (["-o", "kernel.gif"], "unknown extension '.gif' (expected .png, .pdf, .svg)"),
+    (["-o", "kernel.gif"], "unknown extension '.gif' (expected .png, .pdf or .svg)"),
     (["-o", "nowhere/kernel.png"], "no such directory"),
 ])
 def test_what_cannot_be_plotted_is_told_before_anything_is_drawn(kernel, capsys, monkeypatch, arguments, message):
