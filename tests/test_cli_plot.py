@@ -87,7 +87,7 @@ def test_degrees_are_radians_of_the_map(kernel, tmp_path, monkeypatch):
                         or save(figure, *args, **kw))
     plot(kernel, "-o", tmp_path / "a.png", "--select", "heading=90deg")
     plot(kernel, "-o", tmp_path / "b.png", "--select", "heading=1.6")
-    assert titles == ["heading = 1.57 rad, com_z = 0.8 m"] * 2
+    assert titles == ["com_z = 0.8 m, heading = 1.57 rad"] * 2
 
 
 def test_axes_that_are_not_named_are_chosen_with_a_note(kernel, tmp_path, capsys):

@@ -9,6 +9,7 @@ from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
+from jaxcap.grid import AXES
 from jaxcap.plotting.style import BLUE, DARK, GREY, ORANGE, RED, axes_or_new, halo
 from jaxcap.result import Case, Status
 
@@ -237,8 +238,8 @@ def _draw_codes(ax, across, along, values, quantity: str) -> None:
 
 
 def _place(plane) -> str:
-    """Where the plane lies: the axes of the map that are not in the picture."""
-    scalars = (coordinate for coordinate in plane.coords.values() if coordinate.ndim == 0)
+    """Where the plane lies: the axes of the map that are not in the picture, in the order of `AXES` (a file has none)."""
+    scalars = [plane.coords[name] for name in AXES if name in plane.coords and plane.coords[name].ndim == 0]
     return ", ".join(f"{scalar.name} = {float(scalar):.3g} {scalar.attrs.get('units', '')}".strip() for scalar in scalars)
 
 
