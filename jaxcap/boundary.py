@@ -7,6 +7,7 @@ quadratic of alpha, and every question about the motion needs polynomials and on
 from enum import IntEnum
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, Int8
 
@@ -83,7 +84,7 @@ class Boundary(NamedTuple):
         alpha = jnp.where(jnp.isfinite(alpha), alpha, 0)
 
         def add(piece, alpha, total):
-            return total + _gain(piece, jnp.minimum(piece.left, alpha), jnp.minimum(piece.right, alpha))
+            return total + piece_gain(piece, jnp.minimum(piece.left, alpha), jnp.minimum(piece.right, alpha))
 
         return self._over_pieces(add, alpha, jnp.zeros_like(alpha))
 
@@ -105,14 +106,15 @@ class Boundary(NamedTuple):
             start, stop, energy_at_stop = ends
             energy, time = state
             left, right = jnp.clip(piece.left, start, stop), jnp.clip(piece.right, start, stop)
-            after = jnp.where(right < stop, energy + _gain(piece, left, right), energy_at_stop)
+            after = jnp.where(right < stop, energy + piece_gain(piece, left, right), energy_at_stop)
             return after, time + _time(right - left, energy, after, piece.slope)
 
         return self._over_pieces(add, (start, stop, energy_at_stop), (energy, jnp.zeros_like(energy)))[1]
 
     def _over_pieces(self, step, values, start):
         """Fold `step(piece, values, state)` over the pieces."""
-        one = lambda k, arguments, state: step(Pieces(*(field[k] for field in arguments[0])), arguments[1], state)
+        at = lambda k, field: jax.lax.dynamic_index_in_dim(field, k, keepdims=False)
+        one = lambda k, arguments, state: step(Pieces(*(at(k, field) for field in arguments[0])), arguments[1], state)
         return bounded_loop(one, len(self.pieces.left), self.count, (self.pieces, values), start)
 
 
@@ -133,7 +135,7 @@ def _ride_piece(piece: Pieces, _, ride: Ride) -> Ride:
     moving = (ride.moving > 0) & (piece.right > piece.left)
     last = jnp.isinf(piece.right)
     right = jnp.where(last, piece.left, piece.right)
-    after = ride.energy + _gain(piece, piece.left, right)
+    after = ride.energy + piece_gain(piece, piece.left, right)
     rests = last | (after <= 0)
     travelled = _rest(ride.energy, piece.intercept + piece.slope * piece.left, piece.slope)
     travelled = jnp.where(rests, travelled, right - piece.left)
@@ -147,7 +149,7 @@ def _ride_piece(piece: Pieces, _, ride: Ride) -> Ride:
     )
 
 
-def _gain(piece: Pieces, left, right):
+def piece_gain(piece: Pieces, left, right):
     """Energy gained from left to right, both on the piece."""
     return (right - left) * (piece.intercept + piece.slope * (left + right) / 2)
 

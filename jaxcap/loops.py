@@ -5,6 +5,9 @@ import functools
 import jax
 import jax.numpy as jnp
 
+FEW = 4
+"""Steps up to which a loop is unrolled: nothing is stored between them, and steps that change nothing cost little."""
+
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0, 1))
 def bounded_loop(step, bound: int, count, arguments, start):
@@ -13,6 +16,10 @@ def bounded_loop(step, bound: int, count, arguments, start):
     step must not close over values that are differentiated: they belong in `arguments`. JAX cannot reverse a loop of
     unknown length, so the derivative is that of a loop over all of `bound`, whose idle steps change nothing.
     """
+    if bound <= FEW:
+        for k in range(bound):
+            start = step(k, arguments, start)
+        return start
     return jax.lax.fori_loop(0, count, lambda k, state: step(k, arguments, state), start)
 
 

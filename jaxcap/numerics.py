@@ -45,6 +45,13 @@ def ratio(numerator: Float[Array, "..."], denominator: Float[Array, "..."], othe
     return jnp.where(safe, numerator / jnp.where(safe, denominator, 1), otherwise)
 
 
+def first_of(conditions, choices, otherwise):
+    """`jnp.select`, which looks for the first condition that holds, without the search: nested choices run as one loop."""
+    for condition, choice in zip(reversed(conditions), reversed(choices), strict=True):
+        otherwise = jnp.where(condition, choice, otherwise)
+    return otherwise
+
+
 def direction(velocity: Float[Array, "3 *n"]) -> tuple[Float[Array, "3 *n"], Float[Array, "*n"]]:
     """Unit vector and norm; at zero velocity the direction is zero, and so is its gradient.
 

@@ -34,10 +34,12 @@ class Polygon(NamedTuple):
     """The largest that the two coefficients can be."""
     size: Float[Array, "*n"]
     """Scale of alpha [m]: size of the stance plus the CoM's distance from it."""
+    start: tuple[Float[Array, "*n"], ...] = ()
+    """What the survey knows of the walk: the smallest acceleration at alpha = 0, and where a polygon without one ends."""
 
     def flipped(self) -> "Polygon":
         """With the acceleration's sign turned: its lower boundary is minus the upper boundary of this one."""
-        return _stored(self._replace(on_acceleration=-self.on_acceleration))
+        return _stored(self._replace(on_acceleration=-self.on_acceleration, start=()))
 
     def seen_from(self, start: Float[Array, "*n"], heading) -> "Polygon":
         """With alpha counted from `start`, onwards (heading +1) or back (-1); so is the acceleration."""
@@ -46,12 +48,13 @@ class Polygon(NamedTuple):
                 on_acceleration=heading * self.on_acceleration,
                 on_alpha=heading * self.on_alpha,
                 bound=self.bound - self.on_alpha * start,
+                start=(),
             )
         )
 
     def knowing(self, survey: Survey) -> "Polygon":
-        """The same: faces need no help."""
-        return self
+        """The same, with what its survey has found: ready to be walked."""
+        return self._replace(start=survey.start)
 
     def survey(self, near=None) -> Survey:
         """Static region, and polygon at alpha = 0. near: not used, faces are surveyed as fast from anywhere."""
@@ -62,8 +65,8 @@ class Polygon(NamedTuple):
         s_min = jnp.max(jnp.where(on_alpha < 0, static, without(on_alpha)), axis=0)
         # The end ahead, by what makes it: a row that bounds the acceleration from above, or another.
         above, other = (on_alpha > 0) & (on_acceleration > 0), (on_alpha > 0) & (on_acceleration <= 0)
-        s_above = jnp.min(jnp.where(above, static, jnp.inf), axis=0)
-        s_max = jnp.minimum(s_above, jnp.min(jnp.where(other, static, jnp.inf), axis=0))
+        s_above, s_other = (jnp.min(jnp.where(rows, static, jnp.inf), axis=0) for rows in (above, other))
+        s_max = jnp.minimum(s_above, s_other)
         lowest = jnp.max(jnp.where(on_acceleration < 0, values, without(on_acceleration)), axis=0)
         highest = jnp.min(jnp.where(on_acceleration > 0, values, jnp.inf), axis=0)
         return Survey(
@@ -74,11 +77,12 @@ class Polygon(NamedTuple):
             pulled_back=highest < 0,
             known=jnp.ones(s_min.shape, bool),
             hangs=(s_above <= s_max) & (s_max < jnp.inf),
+            start=(lowest, s_other),   # without a lowest, no other rows are left but walls
         )
 
-    def boundary(self, limit: Float[Array, "*n"], rising: bool = False, most: int | None = None) -> Boundary:
+    def boundary(self, limit: Float[Array, "*n"], rising: bool = False, most: int | None = None, enough=None) -> Boundary:
         """The lower boundary, as `Producer` has it."""
-        return _boundary(self, jax.lax.stop_gradient(limit).astype(self.bound.dtype), rising, most)
+        return _boundary(self, *jax.lax.stop_gradient((limit.astype(self.bound.dtype), enough)), rising, most)
 
 
 def polygon(
@@ -114,19 +118,23 @@ def _stored(rows: Polygon) -> Polygon:
     return jax.lax.optimization_barrier(rows)
 
 
-@functools.partial(jax.custom_jvp, nondiff_argnums=(2, 3))
-def _boundary(rows: Polygon, limit: Float[Array, "*n"], rising: bool, most: int | None) -> Boundary:
+@functools.partial(jax.custom_jvp, nondiff_argnums=(3, 4))
+def _boundary(rows: Polygon, limit: Float[Array, "*n"], enough, rising: bool, most: int | None) -> Boundary:
     lower = rows.on_acceleration < 0
     # Rows that do not bound the acceleration from below get an infinite slope: a walk that meets them is at its end.
     slopes = jnp.where(lower, -ratio(rows.on_alpha, rows.on_acceleration), jnp.inf)
     values = jnp.where(lower, ratio(rows.bound, rows.on_acceleration), -jnp.inf)
     slopes, values = jax.lax.optimization_barrier((slopes, values))
-    value = jnp.max(values, axis=0)
+    value, wall = rows.start if rows.start else (jnp.max(values, axis=0), _wall(rows))
     slope = jnp.max(jnp.where(values == value, slopes, -jnp.inf), axis=0)
-    wall = (rows.on_acceleration == 0) & (rows.on_alpha > 0)
-    wall = jnp.min(jnp.where(wall, ratio(rows.bound, rows.on_alpha), jnp.inf), axis=0)
     follow = lambda alpha, line, _: _follow(rows, slopes, alpha, line)
-    return walk(follow, Line(value, slope), (), value == -jnp.inf, wall, limit, rising, most)[0]
+    return walk(follow, Line(value, slope), (), value == -jnp.inf, wall, limit, rising, most, enough)[0]
+
+
+def _wall(rows: Polygon):
+    """Where the polygon ends, as far as rows on alpha alone say."""
+    walls = (rows.on_acceleration == 0) & (rows.on_alpha > 0)
+    return jnp.min(jnp.where(walls, ratio(rows.bound, rows.on_alpha), jnp.inf), axis=0)
 
 
 def _crossings(rows: Polygon, intercept, slope):
@@ -150,8 +158,8 @@ def _follow(rows: Polygon, slopes, alpha, line: Line) -> Next:
 @_boundary.defjvp
 def _boundary_jvp(rising, most, primals, tangents):
     """The search for the active faces is not differentiated; their lines are."""
-    (rows, limit), (change, _) = primals, tangents
-    found = _boundary(rows, limit, rising, most)
+    (rows, limit, enough), (change, *_) = primals, tangents
+    found = _boundary(rows, limit, enough, rising, most)
     pieces = found.pieces
     lower = rows.on_acceleration < 0
     row_slopes, row_values = -ratio(rows.on_alpha, rows.on_acceleration), ratio(rows.bound, rows.on_acceleration)

@@ -111,9 +111,9 @@ class RayPolygon(NamedTuple):
             start=simplex.improved(lowest, start.basis),
         )
 
-    def boundary(self, limit: Float[Array, "*n"], rising: bool = False, most: int | None = None) -> Boundary:
+    def boundary(self, limit: Float[Array, "*n"], rising: bool = False, most: int | None = None, enough=None) -> Boundary:
         """The lower boundary, as `Producer` has it."""
-        return _boundary(self, jax.lax.stop_gradient(limit).astype(self.target.dtype), rising, most)
+        return _boundary(self, *jax.lax.stop_gradient((limit.astype(self.target.dtype), enough)), rising, most)
 
     def at_start(self) -> Program:
         """The program of the smallest acceleration at alpha = 0, (25)."""
@@ -173,12 +173,12 @@ def _value(program: Program, basis: Basis) -> Float[Array, "*n"]:
     return jnp.sum(jnp.where(basis.index == FREE, held, 0), axis=0)
 
 
-@functools.partial(jax.custom_jvp, nondiff_argnums=(2, 3))
-def _boundary(polygon: RayPolygon, limit: Float[Array, "*n"], rising: bool, most: int | None) -> Boundary:
-    return _search(polygon, limit, rising, most, lambda basis: ())[0]
+@functools.partial(jax.custom_jvp, nondiff_argnums=(3, 4))
+def _boundary(polygon: RayPolygon, limit: Float[Array, "*n"], enough, rising: bool, most: int | None) -> Boundary:
+    return _search(polygon, limit, enough, rising, most, lambda basis: ())[0]
 
 
-def _search(polygon: RayPolygon, limit, rising: bool, most: int | None, mark):
+def _search(polygon: RayPolygon, limit, enough, rising: bool, most: int | None, mark):
     """The boundary, and the marks of its pieces' bases."""
     program = polygon.at_start()
     walked = limit > 0
@@ -189,7 +189,8 @@ def _search(polygon: RayPolygon, limit, rising: bool, most: int | None, mark):
     wall = jax.lax.cond(jnp.any(floorless), _wall, lambda polygon, _: jnp.full_like(limit, jnp.inf), polygon, floorless)
     follow = lambda alpha, line, basis: _follow(polygon, alpha, basis)
     first = _line(polygon, found.basis)
-    boundary, marks = walk(follow, first, found.basis, floorless, wall, jnp.where(lost, 0, limit), rising, most, mark)
+    limit = jnp.where(lost, 0, limit)
+    boundary, marks = walk(follow, first, found.basis, floorless, wall, limit, rising, most, enough, mark)
     return boundary._replace(ending=jnp.where(lost, End.MAX_PIECES, boundary.ending).astype(jnp.int8)), marks
 
 
@@ -250,8 +251,8 @@ def _end(polygon: RayPolygon, basis: Basis):
 @_boundary.defjvp
 def _boundary_jvp(rising, most, primals, tangents):
     """The search for the bases is not differentiated; the lines that belong to them are."""
-    (polygon, limit), (change, _) = primals, tangents
-    found, indices = _search(polygon, limit, rising, most, lambda basis: basis.index)
+    (polygon, limit, enough), (change, *_) = primals, tangents
+    found, indices = _search(polygon, limit, enough, rising, most, lambda basis: basis.index)
     final = jnp.isinf(found.pieces.right)
 
     def of_piece(piece):

@@ -42,10 +42,11 @@ def _farthest_rest(polygon, s_min, s_max, hanging):
     hanging &= s_max - s_min > tolerances(s_max.dtype).same_alpha * polygon.size
     base = jnp.where(hanging, s_max, 0)
     limit = jnp.where(hanging, jnp.inf, 0)
-    back = polygon.seen_from(base, -1).boundary(limit)
     outwards = polygon.flipped().seen_from(base, 1).boundary(limit, rising=True)
+    most = jnp.where(jnp.isfinite(outwards.end), outwards.gain(outwards.end), jnp.inf)
+    back = polygon.seen_from(base, -1).boundary(limit, enough=most)
     absorbed = jnp.maximum(-back.gain(back.end), 0)
-    everything = (back.ending == End.NEVER) | (back.ending == End.FLOORLESS)
+    everything = (back.ending == End.NEVER) | (back.ending == End.FLOORLESS) | (back.ending == End.LIMIT)
     beyond = jnp.where(everything, outwards.end, jnp.minimum(outwards.negated().ride(absorbed).alpha, outwards.end))
     known = (back.ending != End.MAX_PIECES) & (outwards.ending != End.MAX_PIECES)
     return Farthest(jnp.where(hanging, s_max + beyond, s_max), known)
@@ -77,11 +78,12 @@ def swing(polygon: Producer, s_min, s_max, ride: Ride, swinging: Bool[Array, "*n
     alpha = ride.alpha
 
     def once(state: Swing) -> Swing:
-        lower = polygon.seen_from(state.alpha, state.heading).boundary(jnp.where(state.swinging, jnp.inf, 0))
+        limit, none = jnp.where(state.swinging, jnp.inf, 0), jnp.zeros_like(alpha)   # no further than to the stop
+        lower = polygon.seen_from(state.alpha, state.heading).boundary(limit, enough=none)
         at_end = lower.gain(lower.end)
         unknown = lower.ending == End.MAX_PIECES   # it then swings on to the bound, and has no time
         lost = state.swinging & (at_end > 0) & (lower.ending != End.NEVER)
-        back = lower.ride(jnp.zeros_like(alpha))
+        back = lower.ride(none)
         travelled = jnp.where(state.swinging & ~lost, back.alpha, 0)
         rest = state.alpha + state.heading * travelled
         return Swing(

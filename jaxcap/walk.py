@@ -11,8 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from jaxcap.boundary import MAX_PIECES, Boundary, End, Pieces
-from jaxcap.numerics import ratio
+from jaxcap.boundary import MAX_PIECES, Boundary, End, Pieces, piece_gain
+from jaxcap.numerics import first_of, ratio
 
 
 class Survey(NamedTuple):
@@ -52,9 +52,10 @@ class Producer(Protocol):
     def knowing(self, survey: Survey) -> "Producer":
         """The same, with what its survey has found: ready to be walked."""
 
-    def boundary(self, limit: Float[Array, "*n"], rising: bool = False, most: int | None = None) -> Boundary:
+    def boundary(self, limit: Float[Array, "*n"], rising: bool = False, most: int | None = None, enough=None) -> Boundary:
         """The lower boundary from alpha = 0, where the polygon must be feasible, to where it turns non-negative while
-        rising (C1; not with `rising`), to the polygon's right end (C2), or a little beyond `limit` at most.
+        rising (C1; not with `rising`), to the polygon's right end (C2), or a little beyond `limit` at most, or beyond where
+        it has taken the energy `enough` [m^2/s^2] from the CoM.
 
         Lanes whose limit is not positive are not walked. After `most` pieces (MAX_PIECES) a walk ends with End.MAX_PIECES.
         """
@@ -95,6 +96,8 @@ class WalkState(NamedTuple):
     """Where the current piece begins [m]."""
     line: Line
     """The current line."""
+    energy: Float[Array, "*n"]
+    """Gained so far [m^2/s^2]; only kept where some is `enough`."""
     running: Bool[Array, "*n"]
     """Lanes that have not come to an end."""
     memory: Any
@@ -114,11 +117,12 @@ def walk(
     limit: Float[Array, "*n"],
     rising: bool,
     most: int | None = None,
+    enough: Float[Array, "*n"] | None = None,
     mark=lambda memory: (),
 ):
     """The boundary from alpha = 0 on, to where it turns non-negative while rising (C1; not with `rising`), to the polygon's
-    right end (C2), or a little beyond `limit`; `most` pieces at most (MAX_PIECES). Lanes whose limit is not positive are not
-    walked.
+    right end (C2), or a little beyond `limit` or where it has taken the energy `enough`; `most` pieces at most (MAX_PIECES).
+    Lanes whose limit is not positive are not walked.
 
     follow(alpha, line, memory) -> Next. floorless: lanes without a lower boundary, where the polygon ends at `wall`.
     Returns the boundary, and mark(memory) for every piece, stacked.
@@ -134,6 +138,7 @@ def walk(
     start = WalkState(
         alpha=jnp.zeros_like(limit),
         line=jax.tree.map(lambda field: jnp.where(floorless, 0, field), first),
+        energy=jnp.zeros_like(limit),
         running=(limit > 0) & ~floorless,
         memory=memory,
         found=found,
@@ -141,16 +146,16 @@ def walk(
     )
     last = jax.lax.while_loop(
         lambda state: jnp.any(state.running) & (state.found.count < most),
-        lambda state: _next_piece(follow, limit, rising, mark, state),
+        lambda state: _next_piece(follow, limit, enough, rising, mark, state),
         start,
     )
     ending = jnp.where(last.running, End.MAX_PIECES, last.found.ending)
     return last.found._replace(ending=ending.astype(jnp.int8)), last.marks
 
 
-def _next_piece(follow, limit, rising: bool, mark, state: WalkState) -> WalkState:
+def _next_piece(follow, limit, enough, rising: bool, mark, state: WalkState) -> WalkState:
     """Record the current line; go on along the one that follows, or stop."""
-    alpha, line, running, memory, found, marks = state
+    alpha, line, energy, running, memory, found, marks = state
     intercept, slope = line
     following = follow(alpha, line, memory)
     end = jnp.maximum(alpha, following.end)
@@ -161,15 +166,20 @@ def _next_piece(follow, limit, rising: bool, mark, state: WalkState) -> WalkStat
     diverges = running & (zero <= end) & (zero < jnp.inf) & (not rising)
     never = running & ~diverges & (end == jnp.inf)
     leaves = running & ~diverges & ~never & following.leaves
-    goes_on = running & ~(diverges | never | leaves | (end >= limit))
-    ending = jnp.select([diverges, never, leaves], [End.DIVERGES, End.NEVER, End.POLYGON], found.ending)
+    wanted = end < limit
+    if enough is not None:
+        energy += piece_gain(Pieces(alpha, end, *line), alpha, end)
+        wanted &= energy > -enough
+    goes_on = running & wanted & ~(diverges | never | leaves)
+    ending = first_of([diverges, never, leaves], [End.DIVERGES, End.NEVER, End.POLYGON], found.ending)
     # The last line goes on without end, so that what lies beyond its end is still well defined.
     piece = Pieces(left=alpha, right=jnp.where(goes_on, end, jnp.inf), intercept=intercept, slope=slope)
-    put = lambda fields, value: fields.at[found.count].set(jnp.where(running, value, 0))
+    put = lambda fields, value: jax.lax.dynamic_update_index_in_dim(fields, jnp.where(running, value, 0), found.count, 0)
     choose = lambda new, old: jnp.where(goes_on, new, old)
     return WalkState(
         alpha=choose(end, alpha),
         line=jax.tree.map(choose, following.line, line),
+        energy=energy,
         running=goes_on,
         memory=jax.tree.map(choose, following.memory, memory),
         found=Boundary(

@@ -15,7 +15,7 @@ import xarray as xr
 
 import jaxcap
 from jaxcap import Case, Status, map_blocks, maps
-from jaxcap.capturability import LIMITS
+from jaxcap.capturability import LIMITS, WALKED
 from jaxcap.columns import FIELDS
 from jaxcap.contact_files import read_contacts
 from jaxcap.errors import InputError, MissingExtra
@@ -70,7 +70,9 @@ def tree(path: Path) -> dict[str, bytes]:
 
 @pytest.mark.parametrize("heading", [AXIS_ALIGNED, [0.3, 1.2, 2.0, 4.4]], ids=["along the axes", "any"])
 def test_a_map_has_the_answers_of_score(heading):
-    """To rounding; bit by bit along the axes, where a direction is the same whatever the speed that it is computed from."""
+    """To rounding; bit by bit along the axes, where a direction is the same whatever the speed that it is computed from, but
+    for what follows the motion piece by piece: the compiler may round such sums differently in two programs.
+    """
     axes = {**POINTS, "heading": heading}
     found, expected = kernel_map(FEET, axes, EVERY), scored(axes)
     assert set(expected.case.ravel().tolist()) >= {Case.C1, Case.C3_1, Case.EMPTY}
@@ -78,7 +80,7 @@ def test_a_map_has_the_answers_of_score(heading):
     for name, values in expected._asdict().items():
         ours, values = found[name].values, values[..., 1] if name in LIMITS else values
         assert ours.dtype == values.dtype, name
-        if values.dtype == np.float32 and (name == "time" or heading != AXIS_ALIGNED):
+        if values.dtype == np.float32 and (name in WALKED or heading != AXIS_ALIGNED):
             np.testing.assert_allclose(ours, values, rtol=1e-5, atol=3e-6, err_msg=name)
         else:
             np.testing.assert_array_equal(ours, values, name)
