@@ -10,7 +10,6 @@ Jacobian. Sample i of a stance depends on (seed, stance, i) only.
 """
 
 import argparse
-import os
 import sys
 from pathlib import Path
 from typing import NamedTuple
@@ -23,6 +22,7 @@ import pyarrow.parquet as pq
 from scipy.optimize import linprog
 
 from jaxcap import robots
+from jaxcap.records import whole_file
 
 SEED = 2018
 RESIDUAL = 1e-10
@@ -246,16 +246,6 @@ def state_file(stance: Stance, states: robots.CentroidalStates, seed: int) -> by
     return sink.getvalue().to_pybytes()
 
 
-def write_whole(path: Path, content: bytes) -> None:
-    """Write a file whole or not at all."""
-    draft = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        draft.write_bytes(content)
-        os.replace(draft, path)
-    finally:
-        draft.unlink(missing_ok=True)
-
-
 def generate(stance: Stance, samples: int, seed: int) -> robots.CentroidalStates:
     """The centroidal states of samples 0, 1, ..."""
     sampler = Sampler(stance, seed)
@@ -285,8 +275,9 @@ def main(arguments=None) -> None:
     for stance in STANCES:
         states = generate(stance, options.samples, options.seed)
         content = state_file(stance, states, options.seed)
-        write_whole(options.output / f"{stance.name}.parquet", content)
-        write_whole(options.output / f"{stance.name}.yaml", contact_file(stance))
+        for extension, found in (("parquet", content), ("yaml", contact_file(stance))):
+            with whole_file(options.output / f"{stance.name}.{extension}", force=True) as file:
+                file.write(found)
         speed = np.quantile(np.linalg.norm(states.com_velocity, axis=1), [0.1, 0.5, 0.9])
         static = np.mean([in_equilibrium(com, stance.contacts) for com in states.com[:STATIC_SAMPLES]])
         numbers = f"{options.samples:8}{len(content) / 1e3:7.0f}   " + "   ".join(f"{x:4.2f}" for x in speed)

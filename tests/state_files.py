@@ -123,3 +123,18 @@ def command(states, contacts, output, *options) -> list[str]:
 def leftovers(directory) -> list[str]:
     """Names of temporary files in a directory."""
     return [path.name for path in directory.iterdir() if path.name.startswith(".") or path.name.endswith(".tmp")]
+
+
+N = 40
+"""Rows of the contacts below."""
+LISTS = contact_lists(N)
+COLUMNS = {"parquet": arrow_contacts(LISTS), "npz": padded_contacts(LISTS)}
+"""Contacts that differ from row to row, by the extension of the file."""
+LEFT, RIGHT = FEET["contacts"]
+SETS = {"sets": [
+    {"name": "left", "contacts": [LEFT]},
+    {"contacts": [LEFT, RIGHT]},
+    {"name": "flight", "contacts": []},
+]}
+NUMBERS = np.arange(N) % 3
+"""Of the set that belongs to a row."""

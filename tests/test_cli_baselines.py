@@ -4,10 +4,14 @@ import jax
 import numpy as np
 import pytest
 from state_files import (
+    COLUMNS,
     FEET,
+    LISTS,
+    NUMBERS,
+    SETS,
+    N,
     arrow_contacts,
     command,
-    contact_lists,
     fake_score,
     padded_contacts,
     read_columns,
@@ -23,12 +27,6 @@ from jaxcap.cli import main
 from jaxcap.columns import BASELINES, FIELDS
 from jaxcap.contacts import ContactSet, rectangle
 
-N = 40
-LISTS = contact_lists(N)
-COLUMNS = {"parquet": arrow_contacts(LISTS), "npz": padded_contacts(LISTS)}
-LEFT, RIGHT = FEET["contacts"]
-SETS = {"sets": [{"contacts": [LEFT]}, {"contacts": [LEFT, RIGHT]}, {"contacts": []}]}
-NUMBERS = np.arange(N) % 3
 FOOT = [rectangle([0, y, 0], np.eye(3), 0.1, 0.05, 0.5) for y in (0.1, -0.1)]
 
 

@@ -7,7 +7,12 @@ import numpy as np
 import pyarrow as pa
 import pytest
 from state_files import (
+    COLUMNS,
     FEET,
+    LISTS,
+    NUMBERS,
+    SETS,
+    N,
     arrow_contacts,
     command,
     contact_lists,
@@ -27,17 +32,6 @@ from jaxcap.columns import FIELDS
 from jaxcap.contact_files import read_contact_sets
 from jaxcap.contacts import ContactSet, rectangle
 from jaxcap.result import Case, Status
-
-N = 40
-LISTS = contact_lists(N)
-COLUMNS = {"parquet": arrow_contacts(LISTS), "npz": padded_contacts(LISTS)}
-LEFT, RIGHT = FEET["contacts"]
-SETS = {"sets": [
-    {"name": "left", "contacts": [LEFT]},
-    {"contacts": [LEFT, RIGHT]},
-    {"name": "flight", "contacts": []},
-]}
-NUMBERS = np.arange(N) % 3
 
 
 @pytest.fixture
