@@ -188,7 +188,7 @@ def _panels(number: int, columns: int) -> tuple[Figure, list[Axes]]:
     """A figure with so many axes."""
     columns = min(columns, number)
     rows = -(-number // columns)
-    figure = Figure(figsize=(WIDE, 3.2 * rows + 0.7) if columns > 1 else (NARROW, 3.7), layout="constrained")
+    figure = Figure(figsize=(WIDE, 3.2 * rows + 0.9) if columns > 1 else (NARROW, 3.7), layout="constrained")
     return figure, [figure.add_subplot(rows, columns, place + 1) for place in range(number)]
 
 
