@@ -6,7 +6,9 @@
     nothing     a compiled function that adds numbers to one of its inputs, ten arrays out: what JAX takes for itself
 
 The four take turns, `BLOCK` calls at a time, with another state each call, on the default device. The paper needs up to
-11 ms for the linear programs of a state alone.
+11 ms for the linear programs of a state alone. On a CPU, JAX hands a call to another thread and waits for it, which may take
+longer than the answer. It does not after jax.config.update("jax_cpu_enable_async_dispatch", False), which has to come before
+anything is computed: `python -m bench.speed --inline`.
 """
 
 import time

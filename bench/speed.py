@@ -121,6 +121,7 @@ def parse(arguments=None):
     add("--calls", type=int, default=5000, help="of the latency (default: 5000)")
     add("--most", type=int, default=10_000_000, help="largest batch of `growth` (default: 10^7)")
     add("--most-states", type=int, default=10_000_000, help="most states of `memory` (default: 10^7)")
+    add("--inline", action="store_true", help="without JAX's asynchronous dispatch: for one state the shorter way on a CPU")
     add("--json", type=Path, metavar="FILE", help="write all figures to this new file as well")
     add("--quick", action="store_true", help="one contact set, few states and calls")
     options = parser.parse_args(arguments)
@@ -137,10 +138,13 @@ def parse(arguments=None):
 def main(arguments=None) -> None:
     """Parse, measure, print, save."""
     options = parse(arguments)
+    if options.inline:
+        jax.config.update("jax_cpu_enable_async_dispatch", False)   # before the first device is asked for
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     device = jax.devices()[0]
     about = {"jaxcap": jaxcap.__version__, "jax": jax.__version__, "platform": device.platform, "device": device.device_kind}
     about |= {"machine": machine(), "cores": cores, "rounds": options.rounds, "batch": options.batch}
+    about |= {"dispatch": "inline" if options.inline else "asynchronous"}
     print(", ".join(f"{key} {value}" for key, value in about.items()), end="\n\n", flush=True)
     tables = {}
     for name, lines in sections(options):
