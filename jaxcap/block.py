@@ -46,7 +46,7 @@ def answer_block(common, per_state, gravity, neighbours: bool = False, answer=ca
 
     surveys = _surveys(common, per_state, gravity) if neighbours else None
     answers, left, slope, surveys = over_chunks(first, (per_state, surveys), lanes)
-    order, count = _unsettled(left, slope, lanes)
+    order, count = unsettled(left, slope, lanes)
     rows = jax.tree.map(lambda x: x[order], (per_state, surveys))
 
     def second(chunk, answers):
@@ -59,7 +59,7 @@ def answer_block(common, per_state, gravity, neighbours: bool = False, answer=ca
     return jax.lax.fori_loop(0, -(-count // lanes), second, answers)
 
 
-def _unsettled(left, slope, lanes: int):
+def unsettled(left, slope, lanes: int):
     """Indices of the rows where something is left, those alike together, padded to whole chunks; and how many they are.
 
     slope: where the quick look stopped [1/s^2]; the steeper a boundary still falls, the more pieces follow. All is sorted as
@@ -68,7 +68,7 @@ def _unsettled(left, slope, lanes: int):
     n = len(left)
     levels = 1 << max(27 - n.bit_length(), 0)
     level = (levels - 1) * (0.5 + 0.5 * slope / (1 + jnp.abs(slope)))
-    level = jnp.where((level >= 0) & (level < levels), level, 0).astype(jnp.int32)
+    level = jnp.where(level >= 0, level, 0).astype(jnp.int32)   # NaN is not
     kind = jnp.where(left == 0, 8, left).astype(jnp.int32)   # what is settled comes last
     order = jnp.sort((kind * levels + level) * n + jnp.arange(n, dtype=jnp.int32)) % n
     return jnp.pad(order, (0, -n % lanes)), jnp.sum(left != 0, dtype=jnp.int32)

@@ -11,6 +11,7 @@ import pytest
 import jaxcap
 from jaxcap import Case, Status
 from jaxcap.batch import BLOCK, LANES
+from jaxcap.block import unsettled
 
 FEET = jaxcap.rectangle([0, 0.1, 0], np.eye(3), 0.1, 0.05, 0.5) + jaxcap.rectangle([0, -0.1, 0], np.eye(3), 0.1, 0.05, 0.5)
 CONE = jaxcap.centroidal_cone(FEET)
@@ -31,6 +32,24 @@ def test_every_state_is_answered_in_its_place(n):
     for field, whole in zip(some, every, strict=True):
         assert field.shape == (n,)
         np.testing.assert_array_equal(field, whole[:n])
+
+
+@pytest.mark.parametrize("n", [1, 100, BLOCK, 1 << 20])
+def test_what_is_left_is_sorted_by_kind_and_slope(n):
+    """Every unsettled state once, those with the same left together, the steepest falls first, whatever the slopes."""
+    rng = np.random.default_rng(4)
+    left = rng.integers(0, 8, n).astype(np.int8)
+    slope = rng.normal(scale=10, size=n).astype(np.float32)
+    odd = rng.random(n) < 0.1
+    order, count = unsettled(left, np.where(odd, rng.choice([np.nan, np.inf, -np.inf], n), slope).astype(np.float32), LANES)
+    assert len(order) % LANES == 0 and count == (left > 0).sum()
+    order = np.asarray(order)[:count]
+    np.testing.assert_array_equal(np.sort(order), np.flatnonzero(left))
+    assert (np.diff(left[order]) >= 0).all()
+    if n == BLOCK:
+        regular = order[~odd[order]]
+        same = np.diff(left[regular]) == 0
+        assert (np.diff(slope[regular])[same] > -0.1 * (1 + np.abs(slope[regular][1:][same])) ** 2).all()
 
 
 def test_fields_have_their_types():

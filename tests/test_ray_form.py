@@ -13,6 +13,7 @@ import jaxcap
 from jaxcap import Case, Status
 from jaxcap.boundary import End
 from jaxcap.numerics import direction
+from jaxcap.polygon import polygon
 from jaxcap.ray_polygon import ray_polygon
 from reference import oracles
 from reference.contacts import wrench_rays
@@ -100,6 +101,39 @@ def test_consistent_with_the_linear_program(both):
             assert expected == [None] * len(alphas)
         else:
             np.testing.assert_allclose(lowest, expected, rtol=1e-6, atol=1e-6)
+
+
+@pytest.mark.parametrize("form", ["faces", "rays"])
+def test_a_walk_may_end_where_it_has_taken_enough(form):
+    """It has the first pieces of the whole walk, and no more of them than it takes."""
+    _, cones, coms, velocities = random_states(60, 1, SEED, form)
+
+    @jax.jit
+    def walked(cone, com, along):
+        """The whole walk, one for less energy than it takes, that energy, and what is taken up to each of its knots."""
+        cut = ray_polygon if form == "rays" else polygon
+        rows = cut(cone, com, along, jnp.array([0, 0, -9.81]))
+        survey = rows.survey()
+        rows, limit = rows.knowing(survey), jnp.where(survey.feasible, jnp.inf, 0)
+        whole = rows.boundary(limit)
+        enough = -0.4 * whole.gain(whole.end)
+        return whole, rows.boundary(limit, enough=enough), enough, -whole.gain(whole.pieces.right)
+
+    early = 0
+    for i, (com, velocity) in enumerate(zip(coms, velocities, strict=True)):
+        cone, along = jax.tree.map(lambda leaf, i=i: jnp.asarray(leaf[i]), cones), direction(jnp.asarray(velocity))[0]
+        whole, short, enough, taken = walked(cone, jnp.asarray(com), along)
+        if whole.ending not in (End.DIVERGES, End.POLYGON) or not enough > 0:
+            continue
+        used = int((whole.pieces.right > whole.pieces.left).sum())
+        expected = min(int(np.sum(np.asarray(taken)[: used - 1] < enough)) + 1, used)
+        kept = int((short.pieces.right > short.pieces.left).sum())
+        assert kept == expected
+        for one, other in zip(short.pieces, whole.pieces, strict=True):
+            np.testing.assert_allclose(one[: kept - 1], other[: kept - 1], rtol=1e-12)
+        assert short.ending == (whole.ending if kept == used else End.LIMIT)
+        early += kept < used
+    assert early > 5
 
 
 UP = np.eye(3)
