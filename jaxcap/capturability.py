@@ -15,7 +15,7 @@ from jaxtyping import Array, Bool, Float, Int8, Num
 from jaxcap.boundary import Boundary, End
 from jaxcap.cone import CentroidalCone, ConeRays
 from jaxcap.contacts import FloatArray
-from jaxcap.numerics import direction, first_of, root, tolerances
+from jaxcap.numerics import direction, root, select, tolerances
 from jaxcap.polygon import polygon
 from jaxcap.ray_polygon import ray_polygon
 from jaxcap.reach import reach_time
@@ -207,7 +207,7 @@ def _speeds(line: Line) -> Speeds:
 
 def _case(line: Line, speeds: Speeds, speed):
     """The leaf of the decision tree (Fig. 3)."""
-    return first_of(
+    return select(
         [
             ~line.survey.standing,
             ~line.survey.feasible,
@@ -274,7 +274,7 @@ def _answer(line: Line, speeds: Speeds, speed, finite) -> Capturability:
     residual = jnp.where(case == Case.C3_3, swings.residual_speed, residual)
     deceleration = jnp.where(at_once, jnp.inf, -lower.at(stop))
 
-    status = first_of(
+    status = select(
         [~finite, ~speeds.known, ~moving, swings.swinging],
         [Status.NONFINITE, Status.MAX_STEPS, Status.NO_DIRECTION, Status.MAX_SWINGS],
         Status.OK,

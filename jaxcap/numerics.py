@@ -45,7 +45,7 @@ def ratio(numerator: Float[Array, "..."], denominator: Float[Array, "..."], othe
     return jnp.where(safe, numerator / jnp.where(safe, denominator, 1), otherwise)
 
 
-def first_of(conditions, choices, otherwise):
+def select(conditions, choices, otherwise):
     """`jnp.select`, which looks for the first condition that holds, without the search: nested choices run as one loop."""
     for condition, choice in zip(reversed(conditions), reversed(choices), strict=True):
         otherwise = jnp.where(condition, choice, otherwise)

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jaxcap.boundary import MAX_PIECES, Boundary, End, Pieces, piece_gain
-from jaxcap.numerics import first_of, ratio
+from jaxcap.numerics import ratio, select
 
 
 class Survey(NamedTuple):
@@ -171,7 +171,7 @@ def _next_piece(follow, limit, enough, rising: bool, mark, state: WalkState) -> 
         energy += piece_gain(Pieces(alpha, end, *line), alpha, end)
         wanted &= energy > -enough
     goes_on = running & wanted & ~(diverges | never | leaves)
-    ending = first_of([diverges, never, leaves], [End.DIVERGES, End.NEVER, End.POLYGON], found.ending)
+    ending = select([diverges, never, leaves], [End.DIVERGES, End.NEVER, End.POLYGON], found.ending)
     # The last line goes on without end, so that what lies beyond its end is still well defined.
     piece = Pieces(left=alpha, right=jnp.where(goes_on, end, jnp.inf), intercept=intercept, slope=slope)
     put = lambda fields, value: jax.lax.dynamic_update_index_in_dim(fields, jnp.where(running, value, 0), found.count, 0)
