@@ -20,6 +20,8 @@ from jaxcap.errors import InputError
 POSITION = ("com_x", "com_y", "com_z")
 CARTESIAN = ("velocity_x", "velocity_y", "velocity_z")
 POLAR = ("heading", "pitch", "speed")
+CONTACTS = ("contact_set", "friction", "slope", "downhill")
+"""Axes along which the contacts change; see `contact_axes`."""
 
 
 class About(NamedTuple):
@@ -39,16 +41,22 @@ AXES = {
     "heading": About("rad", "direction of the CoM velocity in the horizontal plane, from x towards y"),
     "pitch": About("rad", "elevation of the CoM velocity above the horizontal plane"),
     "speed": About("m/s", "norm of the CoM velocity"),
+    "contact_set": About("1", "contact set, counted from 0"),
+    "friction": About("1", "friction coefficient of all contacts"),
+    "slope": About("rad", "tilt of all contacts, about a level axis through their centroid"),
+    "downhill": About("rad", "direction in which the slope goes down, from x towards y"),
 }
 """Every axis that a grid may have."""
 
 DEFAULTS = {"pitch": 0.0, "velocity_z": 0.0}
 """Values of axes that may be left out: the velocity is horizontal."""
+LARGEST = {"heading": 2 * math.pi, "pitch": math.pi / 2, "slope": math.pi, "downhill": 2 * math.pi}
+"""Angles are no larger than this [rad]: more is likely to be degrees."""
 
 LONGEST = 10_000_000
 """Most values of an axis."""
 FULL_CIRCLE = 1e-4
-"""A range of headings whose length differs from 2 pi by less than this [rad] is a full circle."""
+"""A range of directions whose length differs from 2 pi by less than this [rad] is a full circle."""
 MARGIN, ABOVE, PLACES, HEADINGS = 0.1, 0.8, 41, 72
 """Axes around a stance: how far beyond the contacts [m], how far above the lowest [m], values of x and y, headings."""
 
@@ -87,12 +95,14 @@ class Grid:
 
     def tables(self, dtype) -> dict[str, Float[np.ndarray, "..."]]:
         """What states are looked up in: values, (n,), and for angles cosine and sine, (2, n)."""
+        table = lambda name: _table(name, np.atleast_1d(self.axes[name])).astype(dtype)
         with np.errstate(over="ignore"):   # beyond the largest number there is infinity, and the states are marked
-            return {name: _table(name, np.atleast_1d(values)).astype(dtype) for name, values in self.axes.items()}
+            return {name: table(name) for name in self.axes if name not in CONTACTS}
 
     def states(self, index: Int[np.ndarray, " n"], dtype=np.float64):
         """CoM positions (n, 3) [m] and velocities (n, 3) [m/s] of these points, counted in the order of `dims`, the last
-        one fastest: what the map's answers are the answers to. Raises IndexError for a point that is not there.
+        one fastest: what the map's answers are the answers to. Along axes of `CONTACTS` the states are the same. Raises
+        IndexError for a point that is not there.
         """
         index = np.asarray(index)
         if len(index) and not 0 <= index.min() <= index.max() < self.size:
@@ -100,7 +110,7 @@ class Grid:
         places = dict(zip(self.dims, np.unravel_index(index, self.shape), strict=True)) if self.dims else {}
         nowhere = np.zeros_like(index)
         tables = self.tables(dtype)
-        com, along = look_up(tables, {name: places.get(name, nowhere) for name in self.axes})
+        com, along = look_up(tables, {name: places.get(name, nowhere) for name in tables})
         if self.polar:
             along = along * tables["speed"][places.get("speed", nowhere)]
         return com.T, along.T
@@ -121,18 +131,21 @@ def grid(axes: Mapping[str, Any]) -> Grid:
     missing = next((name for name in needed if name not in axes), None)
     if missing is not None:
         raise InputError(f"axis {missing!r} is missing (expected {', '.join(needed)}, and perhaps others)")
+    if "downhill" in axes and "slope" not in axes:
+        raise InputError("axis downhill: there is no slope (expected an axis 'slope')")
     given = {name: _values(name, values) for name, values in axes.items()}
     horizontal = CARTESIAN[2] if cartesian else "pitch"
     return Grid(given | ({} if horizontal in given else {horizontal: np.array(DEFAULTS[horizontal])}))
 
 
-def axes_around(contacts: ContactSet, axes: Mapping[str, Any]) -> dict[str, Any]:
-    """These axes, and for those that are missing a useful choice around the contacts.
+def axes_around(contacts: ContactSet | Iterable[ContactSet], axes: Mapping[str, Any]) -> dict[str, Any]:
+    """These axes, and for those that are missing a useful choice around the contacts, of one set or of several.
 
     com_x, com_y: 41 values from 0.1 m before the first contact to 0.1 m beyond the last. com_z: 0.8 m above the lowest
     contact. heading: 72 values all around, unless the velocity is given by its components.
     """
-    points = np.asarray(contacts.points)[np.asarray(contacts.mask)]
+    sets = [contacts] if isinstance(contacts, ContactSet) else contacts
+    points = np.concatenate([np.asarray(one.points)[np.asarray(one.mask)] for one in sets])
     if len(points) == 0:
         raise InputError("contacts: none is active (expected at least one)")
     low, high = points.min(axis=0), points.max(axis=0)
@@ -179,7 +192,9 @@ def _values(name: str, given: Any) -> Float[np.ndarray, "..."]:
         raise InputError(f"axis {name} holds {twice:g} twice (expected different values)")
     if name == "speed" and values.min() < 0:
         raise InputError(f"axis speed holds {values.min():g} m/s (expected no negative speed; turn the heading)")
-    most = {"heading": 2 * math.pi, "pitch": math.pi / 2}.get(name, math.inf)
+    if name == "friction" and values.min() <= 0:
+        raise InputError(f"axis friction holds {values.min():g} (expected positive numbers)")
+    most = LARGEST.get(name, math.inf)
     if np.abs(values).max() > most + FULL_CIRCLE:
         worst = values.flat[np.abs(values).argmax()]
         raise InputError(f"axis {name} holds {worst:g} rad (expected at most {most:.4f}; write {worst:g}deg for degrees)")
@@ -203,7 +218,7 @@ def _from_text(name: str, text: str) -> Float[np.ndarray, "..."]:
         raise InputError(f"axis {name}: {text!r:.60} (expected {expected})") from None
     if not 2 <= count <= LONGEST:
         raise InputError(f"axis {name}: {text!r} has {count} values (expected 2 to {LONGEST})")
-    if name == "heading" and abs(abs(last - first) - 2 * math.pi) < FULL_CIRCLE:
+    if name in ("heading", "downhill") and abs(abs(last - first) - 2 * math.pi) < FULL_CIRCLE:
         return first + math.copysign(2 * math.pi, last - first) * np.arange(count) / count   # its end is its beginning
     return np.linspace(first, last, count)
 

@@ -1,8 +1,8 @@
 """Answers all over a grid: regions for the file, blocks for the cores and the devices, chunks for the cache.
 
-A region is a box of the grid, small enough to be held in memory several times; it becomes one chunk of every variable of
-the file. Its lines of travel are numbered, and a block of them is unravelled, looked up and answered on the device; several
-devices take a block each. Each line is answered at all speeds of the region.
+A region is a box of the grid with one contact set, small enough to be held in memory several times; it becomes one chunk of
+every variable of the file. Its lines of travel are numbered, and a block of them is unravelled, looked up and answered on
+the device; several devices take a block each. Each line is answered at all speeds of the region.
 """
 
 import math
@@ -21,7 +21,7 @@ from jaxcap.block import LANES, answer_block
 from jaxcap.capturability import LIMITS, capturability_along, capturability_at
 from jaxcap.cone import CentroidalCone, ConeRays
 from jaxcap.devices import Spread, spread_over
-from jaxcap.grid import Grid, look_up
+from jaxcap.grid import CONTACTS, Grid, look_up
 
 REGION = 1 << 20
 """Most states of a region: a few megabytes of each figure."""
@@ -69,9 +69,13 @@ class Regions(NamedTuple):
 
 
 def regions(grid: Grid) -> Regions:
-    """Regions of at most REGION states: the longest dimension is halved until they are, and speeds stay together."""
+    """Regions of one contact set and at most REGION states: the longest dimension is halved until they are, and speeds stay
+    together.
+    """
     sizes = dict(zip(grid.dims, grid.shape, strict=True))
-    parts = {name: -(-size // SPEEDS) if name == "speed" else 1 for name, size in sizes.items()}
+    parts = {name: size if name in CONTACTS else 1 for name, size in sizes.items()}
+    if "speed" in parts:
+        parts["speed"] = -(-sizes["speed"] // SPEEDS)
     step = lambda name: -(-sizes[name] // parts[name])
     while math.prod(map(step, sizes)) > REGION:
         longest = max((name for name in sizes if name != "speed"), key=step)
@@ -82,29 +86,30 @@ def regions(grid: Grid) -> Regions:
 class Answers:
     """The answers over a grid, region by region.
 
-    cone: of one contact set. quantities: fields of `Capturability`; without a speed in the grid, `LIMITS` only. gravity:
-    (3,) [m/s^2]. dtype: of the computation. Several devices share the work, as in `score`.
+    cones: of one contact set each, at the points of the grid's axes of contacts, the last one fastest. quantities: fields of
+    `Capturability`; without a speed in the grid, `LIMITS` only. gravity: (3,) [m/s^2]. dtype: of the computation. Several
+    devices share the work, as in `score`.
     """
 
-    def __init__(self, cone: CentroidalCone | ConeRays, grid: Grid, quantities: tuple[str, ...], gravity, dtype):
+    def __init__(self, cones: Sequence[CentroidalCone | ConeRays], grid: Grid, quantities: tuple[str, ...], gravity, dtype):
         self.grid, self.quantities, self.regions = grid, quantities, regions(grid)
-        self._names = tuple(name for name in grid.axes if name != "speed" or not grid.polar)
-        self._dims = tuple(name for name in grid.dims if name in self._names)
         tables = grid.tables(dtype)
         self._speeds = tables.pop("speed", np.zeros(0, dtype)) if grid.polar else None
+        self._names = tuple(tables)
+        self._dims = tuple(name for name in grid.dims if name in (*self._names, *CONTACTS))
         lines = math.prod(self.regions.region(0).shape(self._dims))
-        devices = spread_over(cone)
+        devices = spread_over(cones)
         self._shares = max(len(devices), 1)
         blocks = -(-lines // (BLOCK * self._shares)) * self._shares
         self._size = -(-lines // (blocks * LANES)) * LANES
-        arguments = (jax.tree.map(jnp.asarray, padded_cone(cone)), jax.tree.map(jnp.asarray, tables))
-        arguments = (*arguments, jnp.asarray(gravity, dtype))
+        tables, gravity = jax.tree.map(jnp.asarray, tables), jnp.asarray(gravity, dtype)
+        arguments = [(jax.tree.map(jnp.asarray, cone), tables, gravity) for cone in _equally_long(cones)]
         options = {"names": self._names, "size": self._size, "fields": self.quantities}
         if self._shares == 1:
-            self._answer = partial(_compiled, *arguments, **options)
+            self._answers = [partial(_compiled, *common, **options) for common in arguments]
         else:
             spread = _spread(devices, **options)
-            self._answer = partial(_on_all, spread, spread.everywhere(arguments))
+            self._answers = [partial(_on_all, spread, spread.everywhere(common)) for common in arguments]
 
     def dims(self, quantity: str) -> tuple[str, ...]:
         """The dimensions of a quantity: those of the grid, without the speed where it does not depend on that."""
@@ -136,7 +141,10 @@ class Answers:
     def _answered(self, region: Region, start: int) -> dict[str, Array | np.ndarray]:
         """The quantities of the block of a region that begins with this line; with several devices, of one block each."""
         first = np.int32(start) if self._shares == 1 else start + self._size * np.arange(self._shares, dtype=np.int32)
-        return self._answer(first, *self._of(region))
+        sizes = {name: size for name, size in self.regions.sizes.items() if name in CONTACTS}
+        places = [region.slices[name].start for name in sizes]
+        number = np.ravel_multi_index(places, tuple(sizes.values())) if sizes else 0
+        return self._answers[number](first, *self._of(region))
 
     def _of(self, region: Region) -> tuple:
         """What the program has to know of a region: where it begins, its shape, its speeds."""
@@ -157,6 +165,15 @@ class Answers:
             at_speeds = values[:, : region.shape(["speed"])[0]].reshape(*shape, -1)
             return np.ascontiguousarray(np.moveaxis(at_speeds, -1, dims.index("speed")))
         return values.reshape(shape)   # drops the axis of a single speed
+
+
+def _equally_long(cones: Sequence[CentroidalCone | ConeRays]) -> list[CentroidalCone | ConeRays]:
+    """Cones with equally many faces, for which one program serves."""
+    padded = [padded_cone(cone) for cone in cones]
+    if len(padded) == 1:
+        return padded
+    rows = max(len(cone.faces) for cone in padded)
+    return [cone.padded(rows) for cone in padded]
 
 
 def _answers(cone, tables, gravity, start, first, shape, speeds, *, names, size: int, fields: tuple[str, ...]):

@@ -9,7 +9,8 @@ import jax
 import tyro
 
 from jaxcap.compile_cache import compilation_cache
-from jaxcap.contact_files import read_contacts
+from jaxcap.contact_axes import Contacts, given_sets, with_sets
+from jaxcap.contact_files import read_contact_sets
 from jaxcap.errors import InputError
 from jaxcap.grid import axes_around, grid, named_values
 
@@ -20,8 +21,10 @@ EXAMPLES
   jaxcap map feet.yaml -o kernel.nc --axis com_z=0.8 --axis heading=0:360deg:144
   jaxcap map feet.yaml -o all.zarr --axis com_x=-0.4:0.4:201 --axis com_y=0 \\
       --axis speed=0:1.5:101 --quantity margin --quantity case
+  jaxcap map feet.yaml -o ice.zarr --axis friction=0.05:0.8:31
 
-CONTACTS is YAML or JSON with one set of contacts; see jaxcap score --help.
+CONTACTS is YAML or JSON with one set of contacts, or several; see jaxcap score
+--help.
 
 AXES
   --axis NAME=VALUE, NAME=FIRST:LAST:COUNT (both ends included) or NAME=A,B,C:
@@ -31,6 +34,13 @@ AXES
     speed                   [m/s]
   or, in place of the last three,
     velocity_x, velocity_y, velocity_z   CoM velocity [m/s]
+  and axes along which the contacts change,
+    friction                the coefficient of all contacts
+    slope                   tilt of all contacts as one body, about a level axis
+                            through their centroid [rad]; the CoM stays
+    downhill                where the slope goes down [rad]; 0 if not given
+    contact_set             numbers of sets in CONTACTS, from 0; all of them if
+                            there are several
   All in the frame of the contacts, z up. Angles may be given in degrees:
   heading=0:360deg:72. A range of headings over a full circle leaves out its
   end, which is its beginning.
@@ -92,8 +102,9 @@ def map_kernel(
 
     if sides < 3:
         raise InputError(f"--sides {sides} (expected at least 3)")
-    stance = read_contacts(contacts)
-    axes = axes_around(stance, named_values("--axis", axis, "NAME=VALUES, for example com_x=-0.4:0.4:201"))
+    stance = _contacts(contacts)
+    given = named_values("--axis", axis, "NAME=VALUES, for example com_x=-0.4:0.4:201")
+    axes = with_sets(stance, axes_around(given_sets(stance).values(), given))
     points = grid(axes)
     start = time.perf_counter()
     try:
@@ -109,3 +120,9 @@ def map_kernel(
     before = f"; {points.size - computed} were there" if computed < points.size else ""
     rate = f"{computed / seconds:.3g} states/s ({seconds:.2f} s with compiling; {dtype}, {jax.default_backend()})"
     print(f"{output}: {extent}, {points.size} states{before}\n{rate}")
+
+
+def _contacts(path: Path) -> Contacts:
+    """The contact sets of a file, with their names if all have one."""
+    sets, names = read_contact_sets(path)
+    return dict(zip(names, sets, strict=True)) if all(names) else sets

@@ -5,7 +5,7 @@ directions is the whole kernel, of five or six dimensions, not a scatter of verd
 `xr.open_dataset` reads them without anything of ours.
 """
 
-import json
+import hashlib
 import math
 import os
 import shutil
@@ -19,11 +19,11 @@ import numpy as np
 
 import jaxcap
 from jaxcap.capturability import GRAVITY, LIMITS
-from jaxcap.columns import FIELDS, NAMES, output_types
+from jaxcap.columns import FIELDS, output_types
 from jaxcap.cone import CentroidalCone, ConeRays, centroidal_cone
-from jaxcap.contacts import ContactSet
+from jaxcap.contact_axes import Contacts, contact_sets, given_sets, with_sets
 from jaxcap.errors import InputError, needs_extra
-from jaxcap.grid import AXES, CARTESIAN, Grid, grid
+from jaxcap.grid import CARTESIAN, Grid, grid
 from jaxcap.map_blocks import Answers, regions
 from jaxcap.records import whole_file
 
@@ -31,18 +31,14 @@ with needs_extra("maps", "jaxcap.maps"):
     import xarray as xr
     from tqdm import tqdm
 
+    from jaxcap.map_labels import CONVENTIONS, as_file, attributes_of, coordinates
     from jaxcap.map_store import Variable, growing_map, recorded
 
 EXTENSIONS = (".zarr", ".nc")
 
-CONVENTIONS = (
-    "one inertial frame for all positions and velocities, z up, SI units; heading [rad] from x towards y, pitch [rad] above "
-    "the horizontal; frames of contacts: columns are tangent, tangent, normal pointing at the robot"
-)
-
 
 def kernel_map(
-    cone: ContactSet | CentroidalCone | ConeRays,
+    cone: Contacts | CentroidalCone | ConeRays,
     axes: Mapping[str, Any],
     quantities: Sequence[str] | None = None,
     *,
@@ -54,11 +50,14 @@ def kernel_map(
     """Capturability at all combinations of the axes' values, in memory.
 
     cone: contacts, which are projected to faces, or a cone of one contact set from `centroidal_cone` or `cone_rays`.
+    Contacts may be several sets, perhaps with names: then the map has an axis contact_set, of their numbers.
     axes: com_x, com_y, com_z [m]; and either heading, pitch [rad] and speed [m/s], or velocity_x, velocity_y, velocity_z
     [m/s]. Each is a number, a list or array of different numbers, or text as on the command line: "0.8", "-0.4:0.4:201"
     (first, last, number of values), "0.7,0.8,0.9", angles also as "0:360deg:72". heading counts from x towards y, pitch
     from the horizontal upwards; pitch and velocity_z may be left out, and are 0. A range of headings over a full circle
-    leaves its end out, which is its beginning; lists and arrays are taken as they are.
+    leaves its end out, which is its beginning; lists and arrays are taken as they are. Where `cone` is contacts there may
+    also be axes that change them: contact_set; friction, of all contacts; slope [rad], by which all contacts are turned
+    about their centroid, the CoM staying where it is, so that the ground goes down towards downhill [rad, 0 if left out].
     quantities: fields of `Capturability`. By default capturable, margin and case; without velocity_* and speed, min_speed
     and max_speed, which do not need one. gravity: (3,) [m/s^2]. sides: edges of the friction pyramids, for contacts.
     dtype: of the computation and the figures; by default that of the arrays among the axes, or else float64, as far as JAX's
@@ -67,18 +66,19 @@ def kernel_map(
     The Dataset has the axes with more than one value, or a list of one, as dimensions in the order given, the others as
     coordinates without dimension, and a variable for each quantity; min_speed and max_speed have no dimension `speed`. At
     speed zero the answers are those of a robot that stands still, see `Status.NO_DIRECTION`. Everything has units; `case`
-    and `status` are int8 with flag_values and flag_meanings. The attributes hold contacts, as the text of a contacts file,
-    sides (both only where contacts were given), gravity, dtype, conventions and version.
+    and `status` are int8 with flag_values and flag_meanings, and contact_set has them too if the sets have names. The
+    attributes hold contacts, those given, as the text of a contacts file, sides (both only where contacts were given),
+    gravity, dtype, conventions and version.
 
     Raises InputError naming the axis, quantity or option that cannot be used, before anything is computed.
     """
-    answers, about = _prepared(cone, _checked(axes, quantities, dtype), gravity, sides)
+    answers, about = _prepared(cone, _checked(cone, axes, quantities, dtype), gravity, sides, progress)
     return _in_memory(answers, about, progress)
 
 
 def write_map(
     path: str | Path,
-    cone: ContactSet | CentroidalCone | ConeRays,
+    cone: Contacts | CentroidalCone | ConeRays,
     axes: Mapping[str, Any],
     quantities: Sequence[str] | None = None,
     *,
@@ -100,23 +100,23 @@ def write_map(
     """
     path = Path(path)
     _check_path(path, force)
-    asked = _checked(axes, quantities, dtype)
+    asked = _checked(cone, axes, quantities, dtype)
     if path.suffix.lower() == ".nc":
         with needs_extra("maps", "writing netCDF"):
             import h5netcdf  # noqa: F401
             import h5py  # noqa: F401
         _check_disk(path, asked.bytes)
-        answers, about = _prepared(cone, asked, gravity, sides)
+        answers, about = _prepared(cone, asked, gravity, sides, progress)
         dataset = _in_memory(answers, about, progress)
         with whole_file(path, force=force) as handle:
             dataset.to_netcdf(handle.name, engine="h5netcdf")
         return asked.grid.size
     _check_disk(path, asked.bytes * (1 - len(recorded(path)) / len(regions(asked.grid))))
-    answers, about = _prepared(cone, asked, gravity, sides)
+    answers, about = _prepared(cone, asked, gravity, sides, progress)
     with growing_map(path, about.coordinates, about.variables, about.settings, force=force) as store:
         todo = [number for number in range(len(answers.regions)) if number not in store.done]
         count = sum(answers.states(answers.regions.region(number)) for number in todo)
-        with _bar(asked.grid.size, asked.grid.size - count, progress) as bar:
+        with _bar("states", asked.grid.size, asked.grid.size - count, progress) as bar:
             for region, values in answers.over(todo):
                 store.write(region.number, {name: answers.place(region, name) for name in values}, values)
                 bar.update(answers.states(region))
@@ -147,8 +147,8 @@ class _About(NamedTuple):
     """All that the answers depend on."""
 
 
-def _checked(axes, quantities, dtype) -> _Asked:
-    points = grid(axes)
+def _checked(cone, axes, quantities, dtype) -> _Asked:
+    points = grid(with_sets(cone, axes))
     if quantities is None:
         quantities = ("capturable", "margin", "case") if points.has_speed else LIMITS
     quantities = (quantities,) if isinstance(quantities, str) else tuple(quantities)
@@ -171,23 +171,13 @@ def _checked(axes, quantities, dtype) -> _Asked:
     return _Asked(points, quantities, able)
 
 
-def _prepared(cone, asked: _Asked, gravity, sides: int) -> tuple[Answers, _About]:
+def _prepared(cone, asked: _Asked, gravity, sides: int, progress: bool) -> tuple[Answers, _About]:
     """What computes the map, and what the map says of itself."""
     gravity = np.asarray(gravity, np.float64)
     if gravity.shape != (3,) or not np.isfinite(gravity).all():
         raise InputError(f"gravity = {gravity} (expected 3 finite numbers)")
-    origin = {}
-    if isinstance(cone, ContactSet):
-        if cone.points.ndim != 2:
-            raise InputError(f"contacts: points have shape {cone.points.shape} (expected one set, (k, 3))")
-        origin = {"sides": int(sides), "contacts": _as_file(cone)}
-        try:
-            cone = centroidal_cone(cone, sides=sides)
-        except ValueError as error:
-            raise InputError(str(error)) from error
-    if isinstance(cone, ConeRays) and cone.rays.ndim != 2:
-        raise InputError(f"cone has rays of {len(cone.rays)} contact sets (expected one)")
-    answers = Answers(cone, asked.grid, asked.quantities, gravity, asked.dtype)
+    cones, origin = _cones(cone, asked.grid, sides, progress)
+    answers = Answers(cones, asked.grid, asked.quantities, gravity, asked.dtype)
     dims = asked.grid.dims
     over = f" over {', '.join(dims)}" if dims else ""
     attributes = {
@@ -206,7 +196,7 @@ def _prepared(cone, asked: _Asked, gravity, sides: int) -> tuple[Answers, _About
             shape=tuple(answers.regions.sizes[dim] for dim in answers.dims(name)),
             chunks=tuple(steps[dim] for dim in answers.dims(name)),
             dtype=types[name],
-            attributes=_attributes(name),
+            attributes=attributes_of(name),
         )
         for name in asked.quantities
     }
@@ -215,10 +205,28 @@ def _prepared(cone, asked: _Asked, gravity, sides: int) -> tuple[Answers, _About
         "axes": {name: values.tolist() for name, values in asked.grid.axes.items()},
         "quantities": list(asked.quantities),
         "regions": steps,
-        "cone": [np.asarray(leaf).tolist() for leaf in jax.tree.leaves(cone)],
+        "cone": hashlib.sha256(b"".join(np.asarray(leaf).tobytes() for leaf in jax.tree.leaves(cones))).hexdigest(),
         "jax": f"{jax.__version__} on {jax.default_backend()}",
     }
-    return answers, _About(_coordinates(asked.grid, attributes), variables, settings)
+    return answers, _About(coordinates(asked.grid, given_sets(cone), attributes), variables, settings)
+
+
+def _cones(cone, points: Grid, sides: int, progress: bool) -> tuple[list, dict[str, Any]]:
+    """The cones at all points of the grid's axes of contacts, and what the map says of their origin."""
+    sets = given_sets(cone)
+    if not sets:
+        if isinstance(cone, ConeRays) and cone.rays.ndim != 2:
+            raise InputError(f"cone has rays of {len(cone.rays)} contact sets (expected one)")
+        return [cone], {}
+    cones, changed = [], contact_sets(list(sets.values()), points)
+    with _bar("contact sets", len(changed), 0, progress and len(changed) > 1) as bar:
+        for where, contacts in changed:
+            try:
+                cones.append(centroidal_cone(contacts, sides=sides))
+            except ValueError as error:
+                raise InputError(f"{where}: {str(error).removeprefix('contacts: ')}") from error
+            bar.update()
+    return cones, {"sides": int(sides), "contacts": as_file(sets)}
 
 
 def _in_memory(answers: Answers, about: _About, progress: bool) -> xr.Dataset:
@@ -227,7 +235,7 @@ def _in_memory(answers: Answers, about: _About, progress: bool) -> xr.Dataset:
     if needed > memory:
         raise InputError(f"the map has {needed / 1e9:.3g} GB, and memory {memory / 1e9:.3g} GB (write it to Zarr instead)")
     arrays = {name: np.empty(variable.shape, variable.dtype) for name, variable in about.variables.items()}
-    with _bar(answers.grid.size, 0, progress) as bar:
+    with _bar("states", answers.grid.size, 0, progress) as bar:
         for region, values in answers.over(range(len(answers.regions))):
             for name, value in values.items():
                 arrays[name][answers.place(region, name)] = value
@@ -237,9 +245,9 @@ def _in_memory(answers: Answers, about: _About, progress: bool) -> xr.Dataset:
     )
 
 
-def _bar(total: int, done: int, progress: bool) -> tqdm:
+def _bar(unit: str, total: int, done: int, progress: bool) -> tqdm:
     hidden = not (progress and sys.stderr.isatty())
-    return tqdm(total=total, initial=done, unit=" states", unit_scale=True, disable=hidden)
+    return tqdm(total=total, initial=done, unit=f" {unit}", unit_scale=True, disable=hidden)
 
 
 def _check_path(path: Path, force: bool) -> None:
@@ -261,28 +269,3 @@ def _check_disk(path: Path, size: float) -> None:
     free = shutil.disk_usage(path.parent).free
     if size > free:
         raise InputError(f"{path}: the map may take {size / 1e9:.3g} GB, and the disk has {free / 1e9:.3g} GB left")
-
-
-def _coordinates(points: Grid, attributes: Mapping[str, Any]) -> xr.Dataset:
-    about = lambda name: {"units": AXES[name].unit, "long_name": AXES[name].meaning}
-    of = lambda name, values: ((name,) if values.ndim else (), values, about(name))
-    return xr.Dataset(coords={name: of(name, values) for name, values in points.axes.items()}, attrs=dict(attributes))
-
-
-def _attributes(quantity: str) -> dict[str, Any]:
-    field = FIELDS[quantity]
-    if quantity not in NAMES:
-        return {"units": field.unit or "1", "long_name": field.meaning}
-    codes = NAMES[quantity]
-    flags = {"flag_values": np.array(list(codes.values()), np.int8), "flag_meanings": " ".join(codes)}
-    return {"units": "1", "long_name": field.meaning, **flags}
-
-
-def _as_file(contacts: ContactSet) -> str:
-    """The text of a contacts file with these contacts."""
-    active = jax.tree.map(lambda leaf: np.asarray(leaf)[np.asarray(contacts.mask)].tolist(), contacts)
-    entries = [
-        {"type": "point", "position": position, "rotation": rotation, "friction": friction}
-        for position, rotation, friction in zip(active.points, active.frames, active.friction, strict=True)
-    ]
-    return json.dumps({"contacts": entries})

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import tyro
 
-from jaxcap.contact_files import read_contacts
+from jaxcap.contact_files import read_contact_sets
 from jaxcap.contacts import ContactSet
 from jaxcap.errors import InputError, needs_extra
 from jaxcap.grid import AXES, named_values
@@ -36,9 +36,9 @@ A SLICE
   --quantity, --x and --y choose what is drawn over which axes of the map.
   --select NAME=VALUE, perhaps several times, chooses the value of another axis;
   the nearest grid point is taken, and angles may end in deg. Axes that are not
-  named are taken at the middle of the map, headings at the first, and a note
-  says so. The thick line is the zero level. Infinite figures and those that are
-  no numbers are hatched, and the legend says why.
+  named are taken at the middle of the map, headings and contact sets at the
+  first, and a note says so. The thick line is the zero level. Infinite figures
+  and those that are no numbers are hatched, and the legend says why.
 
 FIGURE
   .png, .pdf or .svg; by default MAP with the extension .png. It is written
@@ -83,14 +83,15 @@ def plot(
     check_output(output, force=force, extensions=FIGURES)
     selection = _selection(select)
     with _opened(map_file) as dataset:
-        contacts = _contacts(map_file, dataset.attrs)
+        sets = _contact_sets(map_file, dataset.attrs)
         try:
-            figure, chosen = map_figure(dataset, contacts, quantity, (x, y), selection)
+            figure, chosen = map_figure(dataset, sets, quantity, (x, y), selection)
         except ValueError as error:
             raise InputError(f"{map_file}: {error}") from error
         for name, value in chosen.items():
-            unit, size = dataset[name].attrs.get("units", ""), dataset.sizes[name]
-            print(f"note: {map_file}: {name} = {value:.4g} {unit}, one of {size} (--select {name}=...)", file=sys.stderr)
+            unit, size = dataset[name].attrs.get("units", "1"), dataset.sizes[name]
+            shown = f"{value:.4g}" if unit == "1" else f"{value:.4g} {unit}"
+            print(f"note: {map_file}: {name} = {shown}, one of {size} (--select {name}=...)", file=sys.stderr)
     with whole_file(output, force=force) as handle:
         figure.savefig(handle, format=output.suffix[1:].lower(), dpi=DOTS)
     print(output)
@@ -136,14 +137,14 @@ def _opened(path: Path) -> Any:
     return dataset
 
 
-def _contacts(path: Path, attributes) -> ContactSet | None:
-    """The contacts of the map, if it says so."""
+def _contact_sets(path: Path, attributes) -> tuple[ContactSet, ...]:
+    """The contact sets of the map, as far as it tells them."""
     if "contacts" not in attributes:
-        return None
+        return ()
     with tempfile.TemporaryDirectory() as directory:
         file = Path(directory) / "contacts.json"
         file.write_text(str(attributes["contacts"]), encoding="utf-8")
         try:
-            return read_contacts(file)
+            return read_contact_sets(file).sets
         except InputError as error:
             raise InputError(f"{path}: attribute 'contacts': {str(error).removeprefix(f'{file}: ')}") from error

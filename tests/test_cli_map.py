@@ -185,7 +185,7 @@ def test_files_that_cannot_be_used(tmp_path, contacts, capsys):
     (tmp_path / "old.nc").write_text("old")
     for file, output, message in (
         (tmp_path / "no.yaml", "map.zarr", "no such file"),
-        (two, "map.zarr", "holds 2 sets of contacts"),
+        (two, "map.zarr", "contact_set = 1: none of 0 is active"),
         (none, "map.zarr", "contacts: none is active"),
         (contacts, "old.nc", "exists already (--force overwrites it)"),
         (contacts, "map.png", "unknown extension '.png'"),

@@ -67,7 +67,7 @@ def test_the_overview_shows_the_weakest_heading_areas_and_contacts():
     assert chosen == {} and "com_z = 0.8 m" in figure.get_suptitle()
     assert left.get_aspect() == right.get_aspect() == 1
     assert left.get_xlim() == right.get_xlim() and left.get_ylim() == right.get_ylim()
-    assert left.get_xlabel() == "the com_x [m]" and "[m]" in right.get_ylabel()
+    assert left.get_xlabel() == right.get_xlabel() == "CoM position x [m]" and "[m]" in right.get_ylabel()
     assert [child.get_ylabel() for child in left.child_axes] == ["largest capturable speed, weakest heading [m/s]"]
     assert len(right.patches) == 16   # areas at 4 x 4 positions
 

@@ -144,7 +144,7 @@ def test_the_last_states_of_a_huge_grid(monkeypatch):
     monkeypatch.setattr(map_blocks, "REGION", STATES)
     points = grid({"com_x": "0:0.1:4001", "com_y": "0:0.1:4001", "com_z": 0.8, "heading": "0:360deg:100", "speed": "0:1:64"})
     assert points.size > 1e11
-    answers = map_blocks.Answers(CONE, points, ("margin",), (0, 0, -9.81), np.float32)
+    answers = map_blocks.Answers([CONE], points, ("margin",), (0, 0, -9.81), np.float32)
     (region, values), = answers.over([len(answers.regions) - 1])
     places = [np.arange(part.start, part.stop) for part in region.slices.values()]
     index = np.ravel_multi_index(np.meshgrid(*places, indexing="ij"), points.shape).ravel()
@@ -335,7 +335,7 @@ def test_what_a_map_says_of_itself(tmp_path):
 
 
 def test_the_dtype_of_the_axes_decides(x64):
-    of = lambda **axes: maps._checked({**PLACE, **axes}, None, None).dtype
+    of = lambda **axes: maps._checked(FEET, {**PLACE, **axes}, None, None).dtype
     assert of(heading=np.zeros(1, np.float32)) == np.float32
     assert of(heading=np.zeros(1)) == of(heading="0:1:4") == of(heading=[0, 1]) == np.float64
     assert of(heading=np.zeros(1, np.float32), com_x=np.zeros(1)) == np.float64
@@ -571,5 +571,5 @@ def test_netcdf_without_its_packages(tmp_path, monkeypatch, no_computing):
 
 def test_settings_are_json():
     """What decides whether a map may be continued is written down, and is the same when it is read."""
-    _, about = maps._prepared(FEET, maps._checked(POINTS, None, None), (0, 0, -9.81), 4)
+    _, about = maps._prepared(FEET, maps._checked(FEET, POINTS, None, None), (0, 0, -9.81), 4, False)
     assert json.loads(json.dumps(about.settings)) == about.settings

@@ -395,11 +395,11 @@ def test_a_field_without_any_number_is_drawn():
 def test_a_slice_has_names_units_and_tells_where_it_is():
     dataset = field(X[..., None] * np.arange(4), dims=("com_x", "com_y", "speed"))
     ax = plotting.kernel_slice(dataset, "margin", speed=1.3)
-    assert [ax.get_xlabel(), ax.get_ylabel()] == ["CoM x [m]", "CoM y [m]"] and ax.get_aspect() == 1
+    assert [ax.get_xlabel(), ax.get_ylabel()] == ["CoM position x [m]", "CoM position y [m]"] and ax.get_aspect() == 1
     assert ax.get_title() == "com_z = 0.8 m, speed = 1.33 m/s"
     assert [child.get_ylabel() for child in ax.child_axes] == ["margin [m/s]"]
     ax = plotting.kernel_slice(dataset, "margin", x="speed", y="com_x", com_y=0.5)
-    assert [ax.get_xlabel(), ax.get_ylabel()] == ["CoM speed [m/s]", "CoM x [m]"] and ax.get_aspect() == "auto"
+    assert [ax.get_xlabel(), ax.get_ylabel()] == ["CoM speed [m/s]", "CoM position x [m]"] and ax.get_aspect() == "auto"
     assert ax.get_xlim() == (0, 2) and ax.get_ylim() == (-1, 1)
 
 

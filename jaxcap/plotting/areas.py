@@ -12,9 +12,9 @@ from jaxcap.plotting.style import BLUE, DARK, GREY, axes_or_new
 from jaxcap.velocity_area import VelocityArea
 
 CUT = 1.3
-"""Speeds are cut at this many times the largest finite one ..."""
-TYPICAL = 8.0
-"""... or at this many times the median, if that is less; of several areas, at `CUT` times the median of their largest."""
+"""Speeds are cut a little beyond the largest finite one, at this many times that one ..."""
+TYPICAL, TYPICAL_OF_ALL = 8.0, 4.0
+"""... or this many times the median, if that is less; the second is for several areas, where there is less room."""
 FILL = 0.8
 """Length of the longest speed over the stance, relative to the distance between neighbours: few areas go all around."""
 BEYOND = "////"
@@ -118,10 +118,7 @@ def _longest(area: VelocityArea, longest: float | None) -> float:
     some = speeds[speeds > 0]
     if not some.size:
         return 1.0
-    if speeds.ndim == 1:
-        return CUT * min(some.max(), TYPICAL * np.median(some))
-    each = speeds.max(axis=-1)
-    return CUT * min(each.max(), np.median(each[each > 0]))
+    return CUT * min(some.max(), (TYPICAL if speeds.ndim == 1 else TYPICAL_OF_ALL) * np.median(some))
 
 
 def _apart(coms) -> float:

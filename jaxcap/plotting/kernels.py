@@ -23,7 +23,15 @@ BESIDE = (1.03, 0.0, 0.045, 1.0)
 """Place of the colour bar, relative to the axes: as high as they are, whatever their aspect."""
 EMPTY = "#e8e8e8"
 """Colour of the area where a field that is nowhere negative is zero."""
+WIDEST = 56
+"""Longest line of a title, in letters."""
 NAMES = {
+    "com_x": "CoM position x",
+    "com_y": "CoM position y",
+    "com_z": "CoM position z",
+    "velocity_x": "CoM velocity x",
+    "velocity_y": "CoM velocity y",
+    "velocity_z": "CoM velocity z",
     "margin": "margin",
     "min_speed": "smallest capturable speed",
     "max_speed": "largest capturable speed",
@@ -34,6 +42,10 @@ NAMES = {
     "heading": "heading",
     "pitch": "pitch",
     "speed": "CoM speed",
+    "friction": "friction coefficient",
+    "slope": "slope",
+    "downhill": "downhill",
+    "contact_set": "contact set",
 }
 """What stands beside an axis or a colour bar, where the map's own `long_name` is too long for that."""
 CODES = {
@@ -240,7 +252,20 @@ def _draw_codes(ax, across, along, values, quantity: str) -> None:
 def _place(plane) -> str:
     """Where the plane lies: the axes of the map that are not in the picture, in the order of `AXES` (a file has none)."""
     scalars = [plane.coords[name] for name in AXES if name in plane.coords and plane.coords[name].ndim == 0]
-    return ", ".join(f"{scalar.name} = {float(scalar):.3g} {scalar.attrs.get('units', '')}".strip() for scalar in scalars)
+    lines = [""]
+    for place in (f"{scalar.name} = {_value(scalar)}" for scalar in scalars):
+        if len(lines[-1]) + len(place) > WIDEST:
+            lines.append("")
+        lines[-1] += f", {place}" if lines[-1] else place
+    return ",\n".join(lines)
+
+
+def _value(scalar) -> str:
+    """A value with its unit, or in words."""
+    codes, names = scalar.attrs.get("flag_values", ()), scalar.attrs.get("flag_meanings", "").split()
+    unit = scalar.attrs.get("units", "")
+    named = dict(zip(np.atleast_1d(codes).tolist(), names, strict=True)).get(float(scalar))
+    return named or f"{float(scalar):.3g} {'' if unit == '1' else unit}".strip()
 
 
 def _label(array) -> str:

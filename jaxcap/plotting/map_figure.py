@@ -1,58 +1,72 @@
 """The figure of a whole map, with choices for whatever is not asked for."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from matplotlib.figure import Figure
 
+from jaxcap.contact_axes import contacts_at
 from jaxcap.contacts import ContactSet
+from jaxcap.grid import CONTACTS
 from jaxcap.plotting.footprint import footprint
 from jaxcap.plotting.kernels import at_selection, kernel_slice
 from jaxcap.plotting.map_areas import POLAR, map_areas, weakest
 
 PREFERRED = ("margin", "max_speed")
 """Quantities of which the first that is there is drawn where none is asked for."""
+FROM_THE_FIRST = ("heading", "downhill", "contact_set")
+"""Axes that have no middle."""
 
 
 def map_figure(
     dataset,
-    contacts: ContactSet | None,
+    sets: Sequence[ContactSet],
     quantity: str | None,
     axes: tuple[str | None, str | None],
     selection: dict[str, float],
 ) -> tuple[Figure, dict[str, float]]:
     """An overview of a map of velocity areas; of another map, or if something is asked for, a slice.
 
-    contacts: drawn where the map is seen from above. quantity, axes: what is drawn over what; None for a choice. selection:
-    values of other axes. Those that are left are taken at their middle, headings at the first.
+    sets: contact sets of the map, none if they are not known: drawn where it is seen from above, as they are at the values
+    of its axes of contacts. quantity, axes: what is drawn over what; None for a choice. selection: values of other axes.
+    Those that are left are taken at their middle, `FROM_THE_FIRST` at the first.
 
     Returns the figure, and the values that were chosen. Raises ValueError as `kernel_slice` does, before anything is drawn.
     """
     polar = "max_speed" in dataset.data_vars and set(POLAR) <= set(dataset["max_speed"].dims)
     if polar and quantity is None and axes == (None, None) and not set(POLAR) & set(selection):
         chosen = _choice(dataset, "max_speed", POLAR, selection)
-        return _overview(dataset, contacts, {**selection, **chosen}), chosen
+        return _overview(dataset, sets, {**selection, **chosen}), chosen
     names = [str(name) for name in dataset.data_vars]
     quantity = quantity or next(name for name in (*PREFERRED, *names) if name in names)
     x, y = _free_axes(dataset, quantity, axes, selection)
     chosen = _choice(dataset, quantity, (x, y), selection)
     ax = kernel_slice(dataset, quantity, x=x, y=y, **selection, **chosen)
     if (x, y) == POLAR[:2]:
-        _below(ax, contacts)
+        _below(ax, _stance(dataset, sets, {**selection, **chosen}))
     return ax.figure, chosen
 
 
-def _overview(dataset, contacts: ContactSet | None, selection: dict[str, float]) -> Figure:
+def _overview(dataset, sets: Sequence[ContactSet], selection: dict[str, float]) -> Figure:
     """The speed that is stopped whatever its heading, and velocity areas, over the stance."""
     figure = Figure(figsize=(12.5, 5), layout="compressed")
     left, right = figure.subplots(1, 2)
     kernel_slice(weakest(dataset, **selection), "weakest", ax=left)
     limits = {"xlim": left.get_xlim(), "ylim": left.get_ylim()}
     map_areas(dataset, ax=right, **selection).set(**limits)
+    stance = _stance(dataset, sets, selection)
     for ax in (left, right):
-        _below(ax, contacts)
-    figure.suptitle(left.get_title())
+        _below(ax, stance)
+    figure.suptitle(left.get_title().replace("\n", " "))
     left.set_title("largest speed that can be stopped whatever its heading")
     right.set_title("velocities that can be stopped, from where the dots are")
     return figure
+
+
+def _stance(dataset, sets: Sequence[ContactSet], selection: dict[str, float]) -> ContactSet | None:
+    """The contacts at the grid point that is nearest to the selection, if they are known."""
+    place = dataset.sel({name: value for name, value in selection.items() if name in CONTACTS}, method="nearest")
+    return contacts_at(sets, **{name: float(place[name]) for name in CONTACTS if name in place}) if sets else None
 
 
 def _below(ax, contacts: ContactSet | None) -> None:
@@ -79,6 +93,6 @@ def _choice(dataset, quantity: str, kept: tuple[str, ...], selection: dict[str, 
     """Values for the axes that are left over. Raises ValueError for what cannot be drawn."""
     dims = map(str, dataset[quantity].dims) if quantity in dataset.data_vars else ()
     grids = {name: np.asarray(dataset[name], float) for name in dims if name not in (*kept, *selection)}
-    chosen = {name: float(grid[0 if name == "heading" else len(grid) // 2]) for name, grid in grids.items()}
+    chosen = {name: float(grid[0 if name in FROM_THE_FIRST else len(grid) // 2]) for name, grid in grids.items()}
     at_selection(dataset, quantity, kept, {**selection, **chosen})
     return chosen
