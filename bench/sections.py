@@ -5,9 +5,9 @@
 The stances are those of bench/data, the CoM is the median of the stance's states. A table is a section of the kernel through
 contact sets: the sets of its lines differ in one number, and all of them, in all headings, are one call of `score`. Columns:
 the smallest and the largest `max_speed` over the headings [m/s], their headings [deg, 0 is ahead, 90 to the left], and the
-area of the velocities that can be stopped [m^2/s^2]. On a slope, feet and ground are turned about the y axis of the world
-(positive: downhill is ahead), and the CoM stays; pyramids of four sides hold up to atan(mu / sqrt 2). Needs the extras data
-and cli.
+area of the velocities that can be stopped [m^2/s^2]. On a slope, feet and ground are turned about the y axis through the
+feet's centroid (positive: downhill is ahead), and the CoM stays; pyramids of four sides hold up to atan(mu / sqrt 2). Needs
+the extras data and cli. For pictures: `jaxcap map --axis friction=0.1:1:46`.
 """
 
 import argparse
@@ -18,6 +18,7 @@ import numpy as np
 import pyarrow.parquet as pq
 
 import jaxcap
+from jaxcap.contact_axes import contacts_at
 from jaxcap.contact_files import read_contacts
 from jaxcap.velocity_area import headings, velocity_area
 
@@ -31,18 +32,6 @@ def stance(name: str):
     """Contacts and CoM (3,) [m]."""
     coms = pq.read_table(DATA / f"{name}.parquet", columns=["com"])["com"].combine_chunks().flatten()
     return read_contacts(DATA / f"{name}.yaml"), np.median(np.asarray(coms, float).reshape(-1, 3), axis=0)
-
-
-def with_friction(contacts, friction: float):
-    """All contacts with this coefficient."""
-    return jaxcap.ContactSet(contacts.points, contacts.frames, friction)
-
-
-def on_slope(contacts, degrees: float):
-    """Turned about the y axis."""
-    cos, sin = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
-    turn = np.array([[cos, 0, sin], [0, 1, 0], [-sin, 0, cos]])
-    return jaxcap.ContactSet(contacts.points @ turn.T, turn @ contacts.frames, contacts.friction)
 
 
 def without_hand(contacts):
@@ -72,10 +61,12 @@ def main():
     feet, feet_com = stance("talos_two_feet")
     wall, wall_com = stance("talos_hand_on_wall")
     frictions, slopes = [f"mu = {mu}" for mu in FRICTIONS], [f"{slope} deg" for slope in SLOPES]
-    section("Two feet", frictions, [with_friction(feet, mu) for mu in FRICTIONS], feet_com, count)
-    section("Two feet, hand on a wall", frictions, [with_friction(wall, mu) for mu in FRICTIONS], wall_com, count)
+    rougher = lambda contacts: [contacts_at([contacts], friction=friction) for friction in FRICTIONS]
+    tilted = [contacts_at([feet], slope=slope) for slope in np.radians(SLOPES)]
+    section("Two feet", frictions, rougher(feet), feet_com, count)
+    section("Two feet, hand on a wall", frictions, rougher(wall), wall_com, count)
     section("A hand on a wall", ["without", "with"], [without_hand(wall), wall], wall_com, count)
-    section("Two feet on a slope", slopes, [on_slope(feet, slope) for slope in SLOPES], feet_com, count)
+    section("Two feet on a slope", slopes, tilted, feet_com, count)
 
 
 if __name__ == "__main__":

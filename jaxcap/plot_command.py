@@ -77,6 +77,7 @@ def plot(
         select: Value of another axis; as often as needed.
         force: Overwrite FIGURE if it exists.
     """
+    from jaxcap.plotting.kernels import value_of
     from jaxcap.plotting.map_figure import map_figure
 
     output = map_file.with_suffix(".png") if output is None else output
@@ -89,8 +90,7 @@ def plot(
         except ValueError as error:
             raise InputError(f"{map_file}: {error}") from error
         for name, value in chosen.items():
-            unit, size = dataset[name].attrs.get("units", "1"), dataset.sizes[name]
-            shown = f"{value:.4g}" if unit == "1" else f"{value:.4g} {unit}"
+            shown, size = value_of(dataset[name].sel({name: value})), dataset.sizes[name]
             print(f"note: {map_file}: {name} = {shown}, one of {size} (--select {name}=...)", file=sys.stderr)
     with whole_file(output, force=force) as handle:
         figure.savefig(handle, format=output.suffix[1:].lower(), dpi=DOTS)

@@ -87,14 +87,14 @@ def test_degrees_are_radians_of_the_map(kernel, tmp_path, monkeypatch):
                         or save(figure, *args, **kw))
     plot(kernel, "-o", tmp_path / "a.png", "--select", "heading=90deg")
     plot(kernel, "-o", tmp_path / "b.png", "--select", "heading=1.6")
-    assert titles == ["com_z = 0.8 m, heading = 1.57 rad"] * 2
+    assert titles == ["com_z = 0.8 m, heading = 90 deg"] * 2
 
 
 def test_axes_that_are_not_named_are_chosen_with_a_note(kernel, tmp_path, capsys):
     assert plot(kernel, "-o", tmp_path / "a.png", "--x", "heading") == 0
     assert capsys.readouterr().err == f"note: {kernel}: com_y = 0 m, one of 7 (--select com_y=...)\n"
     assert plot(kernel, "-o", tmp_path / "b.png", "--quantity", "case") == 0
-    assert capsys.readouterr().err == f"note: {kernel}: heading = 0 rad, one of 8 (--select heading=...)\n"
+    assert capsys.readouterr().err == f"note: {kernel}: heading = 0 deg, one of 8 (--select heading=...)\n"
 
 
 def test_a_map_of_another_kind_becomes_a_slice(tmp_path, capsys):

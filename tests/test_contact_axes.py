@@ -216,7 +216,7 @@ def test_the_command_line_maps_sections_and_draws_them(tmp_path, capsys):
     assert "contact_set 2 x com_x 5 x com_y 5 x heading 4 x slope 2, 400 states" in capsys.readouterr().out
     assert main(["plot", str(tmp_path / "map.zarr"), "--select", "contact_set=1"]) == 0
     told = capsys.readouterr()
-    assert told.err.endswith("slope = 0.08727 rad, one of 2 (--select slope=...)\n")
+    assert told.err.endswith("slope = 5 deg, one of 2 (--select slope=...)\n")
     with xr.open_dataset(tmp_path / "map.zarr") as found:
         sets = read_contact_sets(contacts).sets
         for number, count in ((0, 1), (1, 2)):
@@ -225,11 +225,11 @@ def test_the_command_line_maps_sections_and_draws_them(tmp_path, capsys):
             assert len(soles) == count   # turned about their centroid, seen from above
             assert np.ptp(soles[0].get_xy()[:, 0]) == pytest.approx(0.2 * np.cos(np.radians(5)))
             name = ("left_foot", "feet")[number]
-            assert figure.get_suptitle() == f"com_z = 0.8 m, pitch = 0 rad, contact_set = {name}, slope = 0.0873 rad"
+            assert figure.get_suptitle() == f"com_z = 0.8 m, pitch = 0 deg, contact_set = {name}, slope = 5 deg"
 
 
 def test_friction_against_heading_is_a_picture():
     found = kernel_map(FEET, {"friction": "0.1:1:4", **PLACE, "heading": "0:360deg:8"})
     figure, chosen = map_figure(found, [FEET], None, (None, None), {})
     assert chosen == {} and figure.axes[0].get_xlabel() == "friction coefficient"
-    assert figure.axes[0].get_title() == "com_x = 0 m, com_y = 0 m, com_z = 0.8 m, pitch = 0 rad"
+    assert figure.axes[0].get_title() == "com_x = 0 m, com_y = 0 m, com_z = 0.8 m, pitch = 0 deg"

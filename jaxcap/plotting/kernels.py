@@ -23,6 +23,12 @@ BESIDE = (1.03, 0.0, 0.045, 1.0)
 """Place of the colour bar, relative to the axes: as high as they are, whatever their aspect."""
 EMPTY = "#e8e8e8"
 """Colour of the area where a field that is nowhere negative is zero."""
+DEGREES = "deg"
+"""Angles of a map are in radians, those of a picture in degrees ..."""
+ROUND_ANGLES = [1, 1.5, 3, 4.5, 6, 9, 10]
+"""... with ticks at multiples of these, and of ten times these."""
+TO_SCALE = ("m", "m/s")
+"""Where both axes are of one of these units, the picture is to scale."""
 WIDEST = 56
 """Longest line of a title, in letters."""
 NAMES = {
@@ -91,22 +97,26 @@ def kernel_slice(
     The zero level is a thick line, and contours below it are dashed. A field that is nowhere negative is grey where it is
     zero, as far as the cell beside, where the others, continued in a straight line, would vanish. Infinite figures are
     hatched, and so is, in another way, whatever is no number; the legend says why. `capturable`, `case` and `status` are
-    areas of colour.
+    areas of colour. Angles are in degrees, in `selection` in radians.
 
     Returns the axes. Raises ValueError, naming the axis or field, for what the dataset does not hold, an axis that is left
     over, or a value outside of the grid.
     """
     plane = at_selection(dataset, quantity, (x, y), selection)
     ax = axes_or_new(ax, (7.0, 5.0))
-    across, along = np.asarray(plane[x], float), np.asarray(plane[y], float)
+    across, along = _values(plane[x]), _values(plane[y])
     values = np.asarray(plane[quantity].transpose(y, x))
     if quantity in CODES:
         _draw_codes(ax, across, along, values, quantity)
     else:
         gaps, label = _gaps(plane, quantity, x, y), _label(plane[quantity])
         _draw_figures(ax, across, along, values.astype(float), gaps, label, levels, bar)
-    same = plane[x].attrs.get("units") == plane[y].attrs.get("units")
-    ax.set(xlabel=_label(plane[x]), ylabel=_label(plane[y]), aspect="equal" if same else "auto", title=_place(plane))
+    for axis, array in ((ax.xaxis, plane[x]), (ax.yaxis, plane[y])):
+        axis.set_label_text(_label(array))
+        if _unit(array) == DEGREES:
+            axis.set_major_locator(MaxNLocator(steps=ROUND_ANGLES))
+    to_scale = _unit(plane[x]) == _unit(plane[y]) in TO_SCALE
+    ax.set(aspect="equal" if to_scale else "auto", title=_place(plane))
     ax.set(xlim=np.sort(across)[[0, -1]], ylim=np.sort(along)[[0, -1]])
     return ax
 
@@ -253,22 +263,33 @@ def _place(plane) -> str:
     """Where the plane lies: the axes of the map that are not in the picture, in the order of `AXES` (a file has none)."""
     scalars = [plane.coords[name] for name in AXES if name in plane.coords and plane.coords[name].ndim == 0]
     lines = [""]
-    for place in (f"{scalar.name} = {_value(scalar)}" for scalar in scalars):
+    for place in (f"{scalar.name} = {value_of(scalar)}" for scalar in scalars):
         if len(lines[-1]) + len(place) > WIDEST:
             lines.append("")
         lines[-1] += f", {place}" if lines[-1] else place
     return ",\n".join(lines)
 
 
-def _value(scalar) -> str:
-    """A value with its unit, or in words."""
+def value_of(scalar) -> str:
+    """A coordinate's one value: with its unit, angles in degrees; or its name, if it has one."""
     codes, names = scalar.attrs.get("flag_values", ()), scalar.attrs.get("flag_meanings", "").split()
-    unit = scalar.attrs.get("units", "")
     named = dict(zip(np.atleast_1d(codes).tolist(), names, strict=True)).get(float(scalar))
-    return named or f"{float(scalar):.3g} {'' if unit == '1' else unit}".strip()
+    return named or f"{float(_values(scalar)):.3g} {_unit(scalar)}".strip()
+
+
+def _unit(array) -> str:
+    """As it is shown: empty for pure numbers."""
+    unit = array.attrs.get("units", "1")
+    return {"1": "", "rad": DEGREES}.get(unit, unit)
+
+
+def _values(array) -> Float[np.ndarray, "..."]:
+    """In that unit."""
+    values = np.asarray(array, float)
+    return np.degrees(values) if _unit(array) == DEGREES else values
 
 
 def _label(array) -> str:
     """What an axis or a field is called, with its unit."""
-    name, unit = NAMES.get(array.name, array.attrs.get("long_name", array.name)), array.attrs.get("units", "")
-    return f"{name} [{unit}]" if unit and unit != "1" else str(name)
+    name, unit = NAMES.get(array.name, array.attrs.get("long_name", array.name)), _unit(array)
+    return f"{name} [{unit}]" if unit else str(name)
