@@ -77,8 +77,8 @@ def plot(
         select: Value of another axis; as often as needed.
         force: Overwrite FIGURE if it exists.
     """
-    from jaxcap.plotting.kernels import value_of
     from jaxcap.plotting.map_figure import map_figure
+    from jaxcap.plotting.words import value_of
 
     output = map_file.with_suffix(".png") if output is None else output
     check_output(output, force=force, extensions=FIGURES)

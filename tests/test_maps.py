@@ -500,52 +500,6 @@ def test_force_replaces_a_map_when_the_new_one_is_there(tmp_path, monkeypatch):
     assert os.listdir(tmp_path) == ["map.zarr"]
 
 
-KILLED = """
-import os, random, signal, sys, time
-import numpy as np
-from jaxcap import map_blocks, maps
-from tests.test_maps import FEET, POINTS
-map_blocks.REGION = 8
-
-def over(self, numbers):   # answers that need no compiling
-    for number in numbers:
-        region = self.regions.region(number)
-        values = np.random.default_rng(number).uniform(size=region.shape(self.grid.dims))
-        yield region, {name: values.astype(bool if name == "capturable" else np.float32) for name in self.quantities}
-
-map_blocks.Answers.over = over
-def write(name):
-    maps.write_map(os.path.join(sys.argv[1], name), FEET, {**POINTS, "com_x": "0:1:12"}, ("capturable", "margin"))
-
-random.seed(5)
-for kill in range(6):   # the backend of JAX is not up yet, so the process may be forked
-    child = os.fork()
-    if child == 0:
-        write("map.zarr")
-        os._exit(0)
-    if kill < 5:
-        journal = os.path.join(sys.argv[1], "map.zarr.partial", "journal")
-        done = lambda: os.path.getsize(journal) if os.path.exists(journal) else 0
-        before = done()
-        while done() == before and os.waitpid(child, os.WNOHANG) == (0, 0):
-            time.sleep(0.001)
-        time.sleep(random.uniform(0, 0.03))
-        os.kill(child, signal.SIGKILL)
-        assert not os.path.exists(os.path.join(sys.argv[1], "map.zarr")), "not killed in time"
-    assert os.waitpid(child, 0)[1] == (signal.SIGKILL if kill < 5 else 0)
-write("whole.zarr")
-"""
-"""Writes a map that is killed five times, at random places, and one that is not."""
-
-
-def test_a_map_killed_five_times_has_the_same_bytes(tmp_path):
-    root = Path(__file__).parents[1]
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(root), str(root / "tests")])}
-    subprocess.run([sys.executable, "-W", "ignore", "-c", KILLED, str(tmp_path)], check=True, env=environment)
-    assert tree(tmp_path / "map.zarr") == tree(tmp_path / "whole.zarr")
-    assert sorted(os.listdir(tmp_path)) == ["map.zarr", "whole.zarr"]
-
-
 # what it costs to import
 
 

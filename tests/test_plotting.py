@@ -385,6 +385,8 @@ def test_infinite_figures_and_those_that_are_none_are_told_apart():
     assert "no stop" in legend(ax)
     status = np.where(Y > 0.5, Status.MAX_STEPS, Status.NO_DIRECTION).astype(np.int8)
     assert legend(plotting.kernel_slice(field(values, status=status), "margin")) == ["at any speed", "undecided", "at rest"]
+    speeds = field(np.where(X < -0.9, np.nan, X), dims=("speed", "com_x"))   # speed 0 is the first row
+    assert legend(plotting.kernel_slice(speeds, "margin", x="com_x", y="speed"))[0] == "at rest"
 
 
 def test_a_field_without_any_number_is_drawn():

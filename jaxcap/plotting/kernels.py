@@ -9,8 +9,8 @@ from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
-from jaxcap.grid import AXES
 from jaxcap.plotting.style import BLUE, DARK, GREY, ORANGE, RED, axes_or_new, halo
+from jaxcap.plotting.words import DEGREES, label_of, place_of, unit_of, values_of
 from jaxcap.result import Case, Status
 
 LEVELS = 12
@@ -23,37 +23,10 @@ BESIDE = (1.03, 0.0, 0.045, 1.0)
 """Place of the colour bar, relative to the axes: as high as they are, whatever their aspect."""
 EMPTY = "#e8e8e8"
 """Colour of the area where a field that is nowhere negative is zero."""
-DEGREES = "deg"
-"""Angles of a map are in radians, those of a picture in degrees ..."""
 ROUND_ANGLES = [1, 1.5, 3, 4.5, 6, 9, 10]
-"""... with ticks at multiples of these, and of ten times these."""
+"""Ticks of angles are at multiples of these, and of ten times these."""
 TO_SCALE = ("m", "m/s")
 """Where both axes are of one of these units, the picture is to scale."""
-WIDEST = 56
-"""Longest line of a title, in letters."""
-NAMES = {
-    "com_x": "CoM position x",
-    "com_y": "CoM position y",
-    "com_z": "CoM position z",
-    "velocity_x": "CoM velocity x",
-    "velocity_y": "CoM velocity y",
-    "velocity_z": "CoM velocity z",
-    "margin": "margin",
-    "min_speed": "smallest capturable speed",
-    "max_speed": "largest capturable speed",
-    "paper_margin": "margin of the paper",
-    "distance": "distance to the stop",
-    "time": "time to the stop",
-    "residual_speed": "speed that is left",
-    "heading": "heading",
-    "pitch": "pitch",
-    "speed": "CoM speed",
-    "friction": "friction coefficient",
-    "slope": "slope",
-    "downhill": "downhill",
-    "contact_set": "contact set",
-}
-"""What stands beside an axis or a colour bar, where the map's own `long_name` is too long for that."""
 CODES = {
     "capturable": {False: ("falls, or has to step", EMPTY), True: ("capturable", BLUE)},
     "case": {
@@ -104,19 +77,19 @@ def kernel_slice(
     """
     plane = at_selection(dataset, quantity, (x, y), selection)
     ax = axes_or_new(ax, (7.0, 5.0))
-    across, along = _values(plane[x]), _values(plane[y])
+    across, along = values_of(plane[x]), values_of(plane[y])
     values = np.asarray(plane[quantity].transpose(y, x))
     if quantity in CODES:
         _draw_codes(ax, across, along, values, quantity)
     else:
-        gaps, label = _gaps(plane, quantity, x, y), _label(plane[quantity])
+        gaps, label = _gaps(plane, quantity, x, y), label_of(plane[quantity])
         _draw_figures(ax, across, along, values.astype(float), gaps, label, levels, bar)
     for axis, array in ((ax.xaxis, plane[x]), (ax.yaxis, plane[y])):
-        axis.set_label_text(_label(array))
-        if _unit(array) == DEGREES:
+        axis.set_label_text(label_of(array))
+        if unit_of(array) == DEGREES:
             axis.set_major_locator(MaxNLocator(steps=ROUND_ANGLES))
-    to_scale = _unit(plane[x]) == _unit(plane[y]) in TO_SCALE
-    ax.set(aspect="equal" if to_scale else "auto", title=_place(plane))
+    to_scale = unit_of(plane[x]) == unit_of(plane[y]) in TO_SCALE
+    ax.set(aspect="equal" if to_scale else "auto", title=place_of(plane))
     ax.set(xlim=np.sort(across)[[0, -1]], ylim=np.sort(along)[[0, -1]])
     return ax
 
@@ -155,11 +128,14 @@ def _gaps(plane, quantity: str, x: str, y: str) -> dict[str, Bool[np.ndarray, "n
     """Where the field is no number, and why."""
     missing = np.isnan(np.asarray(plane[quantity].transpose(y, x), float))
     why = "no stop" if quantity in ("distance", "time") else "no value"
-    if "status" not in plane or set(plane["status"].dims) != {x, y}:
-        return {why: missing}
-    status = np.asarray(plane["status"].transpose(y, x))
-    undecided = missing & np.isin(status, [Status.MAX_STEPS, Status.NONFINITE])
-    still = missing & (status == Status.NO_DIRECTION) & (why == "no value")
+    undecided, still = np.zeros_like(missing), np.zeros_like(missing)
+    if "status" in plane and set(plane["status"].dims) == {x, y}:
+        status = np.asarray(plane["status"].transpose(y, x))
+        undecided = missing & np.isin(status, [Status.MAX_STEPS, Status.NONFINITE])
+        still = status == Status.NO_DIRECTION
+    elif "speed" in plane.coords:
+        still = np.asarray((plane["speed"] == 0).broadcast_like(plane[quantity]).transpose(y, x))
+    still = still & missing & (why == "no value")
     return {"undecided": undecided, "at rest": still, why: missing & ~undecided & ~still}
 
 
@@ -167,8 +143,9 @@ def _draw_figures(ax, across, along, values: Float[np.ndarray, "n m"], gaps, lab
     finite = values[np.isfinite(values)]
     endless = np.isposinf(values)
     signs = {"at any speed": (endless, {"facecolor": "#fff7dc", "edgecolor": ORANGE, "hatch": "//"})}
-    hatches = iter(("..", "xx", "\\\\"))
-    signs |= {why: (where, {"facecolor": "white", "edgecolor": GREY, "hatch": next(hatches)}) for why, where in gaps.items()}
+    hatches = {"undecided": "xx", "at rest": "\\\\"}
+    style_of = lambda why: {"facecolor": "white", "edgecolor": GREY, "hatch": hatches.get(why, "..")}
+    signs |= {why: (where, style_of(why)) for why, where in gaps.items()}
     handles = []
     for why, (where, style) in signs.items():
         if not where.any():
@@ -257,39 +234,3 @@ def _draw_codes(ax, across, along, values, quantity: str) -> None:
     present = [code for code in sorted(codes) if (values.astype(int) == int(code)).any()]
     handles = [Patch(facecolor=codes[code][1], edgecolor=DARK, linewidth=0.5, label=codes[code][0]) for code in present]
     ax.legend(handles=handles, loc="upper left", bbox_to_anchor=(1.01, 1), borderaxespad=0)
-
-
-def _place(plane) -> str:
-    """Where the plane lies: the axes of the map that are not in the picture, in the order of `AXES` (a file has none)."""
-    scalars = [plane.coords[name] for name in AXES if name in plane.coords and plane.coords[name].ndim == 0]
-    lines = [""]
-    for place in (f"{scalar.name} = {value_of(scalar)}" for scalar in scalars):
-        if len(lines[-1]) + len(place) > WIDEST:
-            lines.append("")
-        lines[-1] += f", {place}" if lines[-1] else place
-    return ",\n".join(lines)
-
-
-def value_of(scalar) -> str:
-    """A coordinate's one value: with its unit, angles in degrees; or its name, if it has one."""
-    codes, names = scalar.attrs.get("flag_values", ()), scalar.attrs.get("flag_meanings", "").split()
-    named = dict(zip(np.atleast_1d(codes).tolist(), names, strict=True)).get(float(scalar))
-    return named or f"{float(_values(scalar)):.3g} {_unit(scalar)}".strip()
-
-
-def _unit(array) -> str:
-    """As it is shown: empty for pure numbers."""
-    unit = array.attrs.get("units", "1")
-    return {"1": "", "rad": DEGREES}.get(unit, unit)
-
-
-def _values(array) -> Float[np.ndarray, "..."]:
-    """In that unit."""
-    values = np.asarray(array, float)
-    return np.degrees(values) if _unit(array) == DEGREES else values
-
-
-def _label(array) -> str:
-    """What an axis or a field is called, with its unit."""
-    name, unit = NAMES.get(array.name, array.attrs.get("long_name", array.name)), _unit(array)
-    return f"{name} [{unit}]" if unit else str(name)
