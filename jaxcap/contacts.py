@@ -17,7 +17,8 @@ class ContactSet:
 
     points: (k, 3) [m]. frames: (k, 3, 3) rotations or one (3, 3) for all; the third column is the normal and points at the
     robot, the first is the tangent from which the edges of the friction pyramid are counted. friction: (k,) or one number
-    for all, > 0. mask: (k,) bool, False for a row that is only padding (default: all True).
+    for all, > 0; above 1e4 it counts as 1e4, which never slips. mask: (k,) bool, False for a row that is only padding
+    (default: all True).
 
     All in one inertial frame, z up. A batch of sets of equally many rows has one leading axis more in every field: points
     (n, k, 3), frames (n, k, 3, 3) or (3, 3), friction (n, k) or one number, mask (n, k).

@@ -6,6 +6,9 @@ from jaxtyping import Float
 
 from jaxcap.contacts import ContactSet, FloatArray
 
+STICKIEST = 1e4
+"""A larger coefficient counts as this: edges closer to the tangent plane would lose their normal part to rounding."""
+
 
 def pyramid_edges(
     frames: Float[FloatArray, "*batch k 3 3"], friction: Float[FloatArray, "*batch k"], sides: int
@@ -13,7 +16,8 @@ def pyramid_edges(
     """Edges of the pyramids inscribed in the friction cones (4), (5), not normalised: each has normal component 1.
 
     Edge j stands at the angle pi/sides + 2 pi j/sides from the first tangent; with 4 sides the pyramid's faces are aligned
-    with the tangents. frames: rotations, columns tangent, tangent, normal. Raises ValueError if sides < 3.
+    with the tangents. frames: rotations, columns tangent, tangent, normal. friction: at most STICKIEST counts. Raises
+    ValueError if sides < 3.
     """
     if sides < 3:
         raise ValueError(f"sides = {sides} (expected at least 3)")
@@ -21,6 +25,7 @@ def pyramid_edges(
     angles = [math.pi / sides + 2 * math.pi * j / sides for j in range(sides)]
     around = xp.asarray([[math.cos(a), math.sin(a)] for a in angles], dtype=frames.dtype)
     tangents, normal = frames[..., :2], frames[..., None, :, 2]
+    friction = xp.minimum(friction, STICKIEST)
     return normal + friction[..., None, None] * xp.einsum("sa,...ia->...si", around, tangents)
 
 

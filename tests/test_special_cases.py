@@ -201,6 +201,18 @@ def test_opposing_palms_hold_anything(dtype):
 
 
 @pytest.mark.parametrize("dtype", [np.float64, np.float32])
+@pytest.mark.parametrize("friction", [1e3, 1e5, 1e9, 1e300])
+@pytest.mark.filterwarnings("ignore:overflow encountered in cast")
+def test_contacts_that_never_slip(dtype, friction):
+    """On feet the centre of pressure decides, whatever the friction; between a wall and the ground anything can be held."""
+    out = answer(foot(0, 0.1, friction) + foot(0, -0.1, friction), [0.02, 0, 0.8], [0.2, 0, 0], dtype)
+    assert out.max_speed == pytest.approx(0.08 * np.sqrt(G / 0.8), rel=1e-3) and out.case == Case.C3_1
+    wall = jaxcap.rectangle([0.5, 0, 1], np.array(rotation(0, -np.pi / 2, 0)), 0.1, 0.05, friction)
+    out = answer(foot(0, 0, friction) + wall, [0.02, 0, 0.8], [0.2, 0.3, 0], dtype)
+    assert out.capturable and out.max_speed == np.inf
+
+
+@pytest.mark.parametrize("dtype", [np.float64, np.float32])
 def test_straight_up_gravity_stops_it(dtype):
     found = answer(FEET, [0, 0, 0.8], [0, 0, 1], dtype)
     assert found.max_speed == np.inf
