@@ -9,7 +9,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 import xarray as xr
-from matplotlib.colors import to_hex
+from matplotlib.colors import to_hex, to_rgb
 from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 from samplers import rotation
@@ -19,6 +19,7 @@ import jaxcap
 from jaxcap import Case, Status, plotting
 from jaxcap.friction import pyramid_edges, wrench_rays
 from jaxcap.plotting.footprint import patches
+from jaxcap.plotting.kernels import CODES
 from jaxcap.plotting.region import clipped
 from jaxcap.plotting.travel import travel
 from jaxcap.velocity_area import VelocityArea, headings, velocity_area
@@ -403,6 +404,15 @@ def test_a_slice_has_names_units_and_tells_where_it_is():
     ax = plotting.kernel_slice(dataset, "margin", x="speed", y="com_x", com_y=0.5)
     assert [ax.get_xlabel(), ax.get_ylabel()] == ["CoM speed [m/s]", "CoM position x [m]"] and ax.get_aspect() == "auto"
     assert ax.get_xlim() == (0, 2) and ax.get_ylim() == (-1, 1)
+
+
+@pytest.mark.parametrize("quantity", CODES)
+def test_codes_are_told_apart_in_grey(quantity):
+    """CIE lightness, of 100."""
+    linear = np.array([to_rgb(colour) for _, colour in CODES[quantity].values()])
+    linear = np.where(linear > 0.04045, ((linear + 0.055) / 1.055) ** 2.4, linear / 12.92)
+    lightness = 116 * np.cbrt(linear @ [0.2126, 0.7152, 0.0722]) - 16
+    assert np.diff(np.sort(lightness)).min() > 6
 
 
 def test_codes_are_areas_of_colour_with_names():

@@ -31,13 +31,13 @@ CODES = {
     "capturable": {False: ("falls, or has to step", EMPTY), True: ("capturable", BLUE)},
     "case": {
         Case.UNDECIDED: ("undecided", "#ffffff"),
-        Case.C1: ("C1: diverges", "#f4cf8f"),
+        Case.C1: ("C1: diverges", "#f0c37c"),
         Case.C2: ("C2: leaves the polygon", ORANGE),
         Case.C3_1: ("C3_1: stops", BLUE),
         Case.C3_2_1: ("C3_2_1: reaches S", "#5f9fcf"),
         Case.C3_2_2: ("C3_2_2: falls back", "#b0653a"),
         Case.C3_3: ("C3_3: swings", "#083050"),
-        Case.EMPTY: ("EMPTY: no S", "#cccccc"),
+        Case.EMPTY: ("EMPTY: no S", EMPTY),
     },
     "status": {
         Status.OK: ("OK", EMPTY),
