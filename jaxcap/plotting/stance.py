@@ -24,6 +24,8 @@ THINNEST, ROOM = 0.5, 1.1
 """Least side of the picture relative to its size; free space around what there is to see."""
 LABELS = 7
 """Between the numbers and the name of an axis [points]."""
+CORNER = 0.1
+"""Share of x and y that has no numbers at either end, where those of the other stand."""
 TALLEST = 1.5
 """Half width of a pyramid, relative to its height, beyond which it is drawn smaller."""
 
@@ -84,7 +86,8 @@ def stance(
     middle, half = (low + high) / 2, np.maximum((high - low) / 2 * ROOM, size * THINNEST / 2)
     for axis, name, centre, reach in zip((ax.xaxis, ax.yaxis, ax.zaxis), "xyz", middle, half, strict=True):
         ax.set(**{f"{name}lim": (centre - reach, centre + reach), f"{name}label": f"{name} [m]"})
-        axis.set_major_locator(MaxNLocator(max(2, round(5 * reach / half.max()))))
+        ticks = MaxNLocator(max(4, round(5 * reach / half.max()))).tick_values(centre - reach, centre + reach)
+        axis.set_ticks(ticks[np.abs(ticks - centre) < (1 if name == "z" else 1 - CORNER) * reach])
         axis.labelpad = LABELS
     ax.set_aspect("equal")
     ax.legend(loc="upper left", bbox_to_anchor=(-0.12, 1.05))
