@@ -26,7 +26,7 @@ from jaxcap.errors import InputError
 from jaxcap.map_command import MAP, map_kernel
 from jaxcap.plot_command import PLOT, plot
 from jaxcap.records import check_output, read_states, write_scores
-from jaxcap.summary import Summary
+from jaxcap.summary import Summary, rounding
 
 SCORE = """Score a file of robot states: can the robot stop without moving a contact?
 
@@ -182,8 +182,8 @@ def score(
         metadata = describe(described, GRAVITY, sides, np.dtype(dtype), fields, **more)
         with write_scores(output, source.types, metadata, dtype, fields=fields, force=force) as sink:
             done = _score_all(answer, source, sink)
-    if done.note:
-        print(f"note: {states}: {done.note}", file=sys.stderr)
+    for note in done.notes:
+        print(f"note: {states}: {note}", file=sys.stderr)
     print(done.summary.table())
     rate = f"{done.summary.states / done.seconds:.3g} states/s" if done.summary.states else "no states"
     print(f"\n{rate} ({done.seconds:.2f} s, after {done.compiled:.2f} s of compiling; {dtype}, {jax.default_backend()})")
@@ -275,13 +275,13 @@ class _Run(NamedTuple):
     """Time spent scoring [s]."""
     compiled: float
     """Time spent compiling [s]."""
-    note: str
-    """How many rows have contacts that cannot be used, and why the first; empty if there are none."""
+    notes: tuple[str, ...]
+    """How many rows have contacts that cannot be used, and why the first; that positions are rounded. Perhaps none."""
 
 
 def _score_all(answer, source, sink) -> _Run:
     """Scores and writes every batch."""
-    summary, seconds, compiled, widest, unusable, first = Summary(), 0.0, 0.0, -1, 0, ""
+    summary, seconds, compiled, widest, unusable, first, coarse = Summary(), 0.0, 0.0, -1, 0, "", ""
     with tqdm(total=source.rows, unit=" states", unit_scale=True, disable=not sys.stderr.isatty()) as bar:
         for batch in source:
             width = batch.contacts.mask.shape[1] if isinstance(batch.contacts, RowContacts) else 0
@@ -295,9 +295,10 @@ def _score_all(answer, source, sink) -> _Run:
                 unusable += int(bad.rows.sum())
             sink.write(batch.columns, *answers)
             summary.add(answers[0])
+            coarse = coarse or rounding(batch.coms)
             bar.update(len(batch.coms))
-    note = f"the contacts of {unusable} rows cannot be used, these have status nonfinite; {first}" if unusable else ""
-    return _Run(summary, seconds, compiled, note)
+    without = f"the contacts of {unusable} rows cannot be used, these have status nonfinite; {first}" if unusable else ""
+    return _Run(summary, seconds, compiled, tuple(filter(None, (without, coarse))))
 
 
 def _timed(answer, batch: StateBatch):

@@ -6,13 +6,15 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import jax
+import numpy as np
 import tyro
 
 from jaxcap.compile_cache import compilation_cache
 from jaxcap.contact_axes import Contacts, given_sets, with_sets
 from jaxcap.contact_files import read_contact_sets
 from jaxcap.errors import InputError
-from jaxcap.grid import axes_around, grid, named_values
+from jaxcap.grid import POSITION, axes_around, grid, named_values
+from jaxcap.summary import rounding
 
 MAP = """Map where a robot can stop: capturability over a grid of states.
 
@@ -116,6 +118,8 @@ def map_kernel(
             print(f"note: the same command goes on where this one ended ({output}.partial)", file=sys.stderr)
         raise
     seconds = time.perf_counter() - start
+    if coarse := rounding(np.array([[np.abs(points.axes[name]).max() for name in POSITION]], dtype)):
+        print(f"note: {output}: {coarse}", file=sys.stderr)
     extent = " x ".join(f"{name} {size}" for name, size in zip(points.dims, points.shape, strict=True)) or "one point"
     before = f"; {points.size - computed} were there" if computed < points.size else ""
     rate = f"{computed / seconds:.3g} states/s ({seconds:.2f} s with compiling; {dtype}, {jax.default_backend()})"

@@ -152,6 +152,16 @@ def test_arrays_that_are_not_carried_through_are_named(fake, arguments, tmp_path
     assert "note: " in (error := capsys.readouterr().err) and "'dt'" in error
 
 
+def test_positions_that_are_rounded_are_told(fake, arguments, tmp_path, capsys):
+    """Map coordinates: single precision is too coarse for them."""
+    write_states(tmp_path / "states.npz", com=states(10)[0] + np.array([5e5, 5e6, 0]))
+    assert main(arguments) == 0
+    said = "positions 5e+06 m from the origin are rounded to 0.5 m (--dtype float64 keeps them)"
+    assert capsys.readouterr().err == f"note: {tmp_path / 'states.npz'}: {said}\n"
+    assert main([*arguments, "--force", "--dtype", "float64"]) == 0
+    assert capsys.readouterr().err == ""
+
+
 def test_progress_bar_on_a_terminal(tmp_path, arguments):
     terminal, end = pty.openpty()
     termios.tcsetwinsize(end, (24, 80))

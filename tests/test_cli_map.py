@@ -154,6 +154,14 @@ def test_defaults_lie_around_the_contacts():
     assert len(axes["heading"]) == 72
 
 
+def test_places_that_are_rounded_are_told(tmp_path, contacts, fake, capsys):
+    far = [*SMALL, "--axis", "com_z=500000"]
+    assert main(command(contacts, tmp_path / "map.zarr", *far)) == 0
+    assert "positions 5e+05 m from the origin are rounded to 0.031 m (--dtype float64" in capsys.readouterr().err
+    assert main(command(contacts, tmp_path / "map.zarr", *far, "--force", "--dtype", "float64")) == 0
+    assert capsys.readouterr().err == ""
+
+
 # what is refused
 
 

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from state_files import fake_score, states
 
 from jaxcap.result import Case, Status
-from jaxcap.summary import CASES, STATUSES, Quantiles, Summary
+from jaxcap.summary import CASES, STATUSES, Quantiles, Summary, rounding
 
 FLOATS = st.floats(width=32, allow_nan=False)
 
@@ -57,3 +57,11 @@ def test_every_case_and_status_is_counted():
 
 def test_a_table_of_nothing():
     assert "states" in Summary().table()
+
+
+def test_positions_that_single_precision_rounds_are_told():
+    at = lambda x: np.array([[x, 0, 0.8], [x, 1, 0.8], [np.nan, 0, 0], [0, 0, 0]], np.float32)
+    assert rounding(at(0.1)) == rounding(at(900)) == rounding(at(np.inf)) == rounding(np.zeros((0, 3), np.float32)) == ""
+    assert rounding(at(5e5)) == "positions 5e+05 m from the origin are rounded to 0.031 m (--dtype float64 keeps them)"
+    assert rounding(at(5e5).astype(np.float64)) == ""
+    assert rounding(np.concatenate([at(0.1), np.full((1, 3), 1e30, np.float32)])) == ""   # one row is no matter
