@@ -388,6 +388,8 @@ def test_infinite_figures_and_those_that_are_none_are_told_apart():
     assert legend(plotting.kernel_slice(field(values, status=status), "margin")) == ["at any speed", "undecided", "at rest"]
     speeds = field(np.where(X < -0.9, np.nan, X), dims=("speed", "com_x"))   # speed 0 is the first row
     assert legend(plotting.kernel_slice(speeds, "margin", x="com_x", y="speed"))[0] == "at rest"
+    both = field(values, "max_speed").assign(speeds.rename(com_x="other"))   # a field beside one that has speeds
+    assert legend(plotting.kernel_slice(both, "max_speed")) == ["at any speed", "no value"]
 
 
 def test_a_field_without_any_number_is_drawn():

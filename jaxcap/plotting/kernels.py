@@ -133,7 +133,7 @@ def _gaps(plane, quantity: str, x: str, y: str) -> dict[str, Bool[np.ndarray, "n
         status = np.asarray(plane["status"].transpose(y, x))
         undecided = missing & np.isin(status, [Status.MAX_STEPS, Status.NONFINITE])
         still = status == Status.NO_DIRECTION
-    elif "speed" in plane.coords:
+    elif "speed" in plane[quantity].coords:
         still = np.asarray((plane["speed"] == 0).broadcast_like(plane[quantity]).transpose(y, x))
     still = still & missing & (why == "no value")
     return {"undecided": undecided, "at rest": still, why: missing & ~undecided & ~still}
