@@ -97,6 +97,7 @@ class Answers:
         self._speeds = tables.pop("speed", np.zeros(0, dtype)) if grid.polar else None
         self._names = tuple(tables)
         self._dims = tuple(name for name in grid.dims if name in (*self._names, *CONTACTS))
+        self._sets = {name: size for name, size in self.regions.sizes.items() if name in CONTACTS}
         lines = math.prod(self.regions.region(0).shape(self._dims))
         devices = spread_over(cones)
         self._shares = max(len(devices), 1)
@@ -141,9 +142,8 @@ class Answers:
     def _answered(self, region: Region, start: int) -> dict[str, Array | np.ndarray]:
         """The quantities of the block of a region that begins with this line; with several devices, of one block each."""
         first = np.int32(start) if self._shares == 1 else start + self._size * np.arange(self._shares, dtype=np.int32)
-        sizes = {name: size for name, size in self.regions.sizes.items() if name in CONTACTS}
-        places = [region.slices[name].start for name in sizes]
-        number = np.ravel_multi_index(places, tuple(sizes.values())) if sizes else 0
+        places = [region.slices[name].start for name in self._sets]
+        number = np.ravel_multi_index(places, tuple(self._sets.values())) if places else 0
         return self._answers[number](first, *self._of(region))
 
     def _of(self, region: Region) -> tuple:

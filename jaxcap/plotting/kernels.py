@@ -27,6 +27,8 @@ ROUND_ANGLES = [1, 1.5, 3, 4.5, 6, 9, 10]
 """Ticks of angles are at multiples of these, and of ten times these."""
 TO_SCALE = ("m", "m/s")
 """Where both axes are of one of these units, the picture is to scale."""
+HATCHES = {"undecided": "xx", "at rest": "\\\\"}
+"""Where a field is no number, by the reason; dots for any other."""
 CODES = {
     "capturable": {False: ("falls, or has to step", EMPTY), True: ("capturable", BLUE)},
     "case": {
@@ -143,8 +145,7 @@ def _draw_figures(ax, across, along, values: Float[np.ndarray, "n m"], gaps, lab
     finite = values[np.isfinite(values)]
     endless = np.isposinf(values)
     signs = {"at any speed": (endless, {"facecolor": "#fff7dc", "edgecolor": ORANGE, "hatch": "//"})}
-    hatches = {"undecided": "xx", "at rest": "\\\\"}
-    style_of = lambda why: {"facecolor": "white", "edgecolor": GREY, "hatch": hatches.get(why, "..")}
+    style_of = lambda why: {"facecolor": "white", "edgecolor": GREY, "hatch": HATCHES.get(why, "..")}
     signs |= {why: (where, style_of(why)) for why, where in gaps.items()}
     handles = []
     for why, (where, style) in signs.items():
