@@ -12,8 +12,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxcap.capturability import GRAVITY, survey_of_lanes, travel_of_lanes
-from jaxcap.cone import CentroidalCone, ConeRays
+from jaxcap.contacts.cone import CentroidalCone, ConeRays
+from jaxcap.contacts.conventions import GRAVITY
+from jaxcap.one_state.line import survey_of_lanes, travel_of_lanes
 
 LINE = 61
 """Direction (20) and wrenches (41) of the line of travel."""

@@ -27,8 +27,8 @@ import xarray as xr
 
 import jaxcap
 from bench.memory import CONTACTS, in_process
-from jaxcap.contact_files import read_contacts
-from jaxcap.grid import Grid, axes_around, grid
+from jaxcap.files.contact_files import read_contacts
+from jaxcap.maps.grid import Grid, axes_around, grid
 
 SEED, RUN = 0, 1 << 16
 HEADINGS, SPEEDS, FASTEST = 72, 61, 1.5

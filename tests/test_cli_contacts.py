@@ -26,12 +26,12 @@ from state_files import (
 )
 
 import jaxcap
-from jaxcap import contact_rows
-from jaxcap.cli import main
-from jaxcap.columns import FIELDS
-from jaxcap.contact_files import read_contact_sets
-from jaxcap.contacts import ContactSet, rectangle
-from jaxcap.result import Case, Status
+from jaxcap.commands import scorers as contact_rows
+from jaxcap.commands.cli import main
+from jaxcap.contacts.contact_set import ContactSet, rectangle
+from jaxcap.files.contact_files import read_contact_sets
+from jaxcap.files.fields import FIELDS
+from jaxcap.one_state.result import Case, Status
 
 
 @pytest.fixture

@@ -15,19 +15,19 @@ import pytest
 import xarray as xr
 from state_files import FEET, write_contacts
 
-from jaxcap import map_blocks
-from jaxcap.cli import main
-from jaxcap.contact_files import read_contacts
-from jaxcap.grid import axes_around, grid
+from jaxcap.commands.cli import main
+from jaxcap.files.contact_files import read_contacts
+from jaxcap.maps import blocks as map_blocks
 from jaxcap.maps import kernel_map
+from jaxcap.maps.grid import axes_around, grid
 
 SMALL = ("--axis", "com_x=0:0.1:3", "--axis", "com_y=0", "--axis", "heading=0:90deg:2")
 
 SLOW = """
 import signal, sys, time
 import numpy as np
-from jaxcap import map_blocks
-from jaxcap.cli import main
+from jaxcap.maps import blocks as map_blocks
+from jaxcap.commands.cli import main
 signal.signal(signal.SIGINT, signal.default_int_handler)   # ignored where the tests run in the background of a shell
 map_blocks.REGION = 16
 
@@ -241,7 +241,7 @@ def test_a_map_killed_five_times_at_random_is_the_same_to_the_bit(tmp_path, cont
     axes = ("com_x=-0.2:0.2:121", "com_y=-0.3:0.3:121", "heading=0:360deg:64", "speed=0:1:41")
     options = [*(f"--axis={axis}" for axis in axes), f"--cache={tmp_path / 'cache'}"]
     run = lambda output: subprocess.Popen(
-        [sys.executable, "-m", "jaxcap.cli", *command(contacts, output), *options], stdout=subprocess.DEVNULL
+        [sys.executable, "-m", "jaxcap.commands.cli", *command(contacts, output), *options], stdout=subprocess.DEVNULL
     )
     journal = tmp_path / "map.zarr.partial" / "journal"
     done = lambda: journal.stat().st_size if journal.exists() else 0

@@ -7,13 +7,14 @@ from samplers import rotation
 from state_files import write_contacts
 
 import jaxcap
-from jaxcap import Case, map_blocks
-from jaxcap.cli import main
-from jaxcap.contact_axes import contacts_at
-from jaxcap.contact_files import read_contact_sets
+from jaxcap import Case
+from jaxcap.commands.cli import main
 from jaxcap.errors import InputError
-from jaxcap.grid import axes_around, grid
+from jaxcap.files.contact_files import read_contact_sets
+from jaxcap.maps import blocks as map_blocks
 from jaxcap.maps import kernel_map, write_map
+from jaxcap.maps.contact_axes import contacts_at
+from jaxcap.maps.grid import axes_around, grid
 from jaxcap.plotting.map_figure import map_figure
 
 FOOT = jaxcap.rectangle([0, 0.1, 0], np.eye(3), 0.1, 0.05, 0.5)

@@ -7,14 +7,14 @@ import pytest
 from state_files import arrow_contacts, contact_lists, padded_contacts, states, write_contacts, write_states
 
 import jaxcap
-from jaxcap import contact_rows
-from jaxcap.contact_columns import BadRows, RowChoices, chosen, from_arrays
-from jaxcap.contact_files import read_contact_sets
-from jaxcap.contact_rows import OwnContacts, SharedSets
-from jaxcap.contacts import ContactSet
-from jaxcap.projection import ProjectionError
-from jaxcap.records import read_states
-from jaxcap.result import Case, Status
+from jaxcap.commands import scorers as contact_rows
+from jaxcap.commands.scorers import OwnContacts, SharedSets
+from jaxcap.contacts.contact_set import ContactSet
+from jaxcap.contacts.projection import ProjectionError
+from jaxcap.files.contact_columns import BadRows, RowChoices, chosen, from_arrays
+from jaxcap.files.contact_files import read_contact_sets
+from jaxcap.files.records import read_states
+from jaxcap.one_state.result import Case, Status
 
 N = 40
 LISTS = contact_lists(N)

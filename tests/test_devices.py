@@ -22,7 +22,9 @@ import jax
 import numpy as np
 import jaxcap
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
-from jaxcap import batch, devices, map_blocks, maps
+from jaxcap import maps
+from jaxcap.batch import devices, score as batch
+from jaxcap.maps import blocks as map_blocks
 batch.BLOCK = batch.RAYS_BLOCK = map_blocks.BLOCK = BLOCK
 all_devices = jax.local_devices()
 assert len(all_devices) == DEVICES

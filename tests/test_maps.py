@@ -14,13 +14,14 @@ import pytest
 import xarray as xr
 
 import jaxcap
-from jaxcap import Case, Status, map_blocks, maps
-from jaxcap.capturability import LIMITS, WALKED
-from jaxcap.columns import FIELDS
-from jaxcap.contact_files import read_contacts
+from jaxcap import Case, Status
 from jaxcap.errors import InputError, MissingExtra
-from jaxcap.grid import AXES, grid
-from jaxcap.maps import kernel_map, write_map
+from jaxcap.files.contact_files import read_contacts
+from jaxcap.files.fields import FIELDS
+from jaxcap.maps import blocks as map_blocks
+from jaxcap.maps import kernel, kernel_map, write_map
+from jaxcap.maps.grid import AXES, grid
+from jaxcap.one_state.decision import LIMITS, WALKED
 
 FOOT = jaxcap.rectangle([0, 0.1, 0], np.eye(3), 0.1, 0.05, 0.5)
 FEET = FOOT + jaxcap.rectangle([0.2, -0.15, 0.1], np.eye(3), 0.1, 0.05, 0.5)
@@ -335,7 +336,7 @@ def test_what_a_map_says_of_itself(tmp_path):
 
 
 def test_the_dtype_of_the_axes_decides(x64):
-    of = lambda **axes: maps._checked(FEET, {**PLACE, **axes}, None, None).dtype
+    of = lambda **axes: kernel._checked(FEET, {**PLACE, **axes}, None, None).dtype
     assert of(heading=np.zeros(1, np.float32)) == np.float32
     assert of(heading=np.zeros(1)) == of(heading="0:1:4") == of(heading=[0, 1]) == np.float64
     assert of(heading=np.zeros(1, np.float32), com_x=np.zeros(1)) == np.float64
@@ -504,17 +505,17 @@ def test_force_replaces_a_map_when_the_new_one_is_there(tmp_path, monkeypatch):
 
 
 def test_importing_the_library_needs_no_xarray():
-    program = "import sys, jaxcap, jaxcap.grid; assert not {'xarray', 'zarr', 'tqdm'} & set(sys.modules)"
+    program = "import sys, jaxcap, jaxcap.maps.grid; assert not {'xarray', 'zarr', 'tqdm'} & set(sys.modules)"
     subprocess.run([sys.executable, "-c", program], check=True)
 
 
 def test_a_missing_extra_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "xarray", None)
-    monkeypatch.delitem(sys.modules, "jaxcap.maps")
+    monkeypatch.delitem(sys.modules, "jaxcap.maps.kernel")
     with pytest.raises(MissingExtra, match=r'jaxcap.maps needs xarray; install it with: pip install "jaxcap\[maps\]"'):
-        importlib.import_module("jaxcap.maps")
+        importlib.import_module("jaxcap.maps").kernel_map  # noqa: B018
     monkeypatch.undo()
-    assert importlib.import_module("jaxcap.maps") is maps
+    assert importlib.import_module("jaxcap.maps").kernel_map is kernel_map
 
 
 def test_netcdf_without_its_packages(tmp_path, monkeypatch, no_computing):
@@ -525,5 +526,5 @@ def test_netcdf_without_its_packages(tmp_path, monkeypatch, no_computing):
 
 def test_settings_are_json():
     """What decides whether a map may be continued is written down, and is the same when it is read."""
-    _, about = maps._prepared(FEET, maps._checked(FEET, POINTS, None, None), (0, 0, -9.81), 4, False)
+    _, about = kernel._prepared(FEET, kernel._checked(FEET, POINTS, None, None), (0, 0, -9.81), 4, False)
     assert json.loads(json.dumps(about.settings)) == about.settings

@@ -17,12 +17,12 @@ from scipy.optimize import linprog
 
 import jaxcap
 from jaxcap import Case, Status, plotting
-from jaxcap.friction import pyramid_edges, wrench_rays
+from jaxcap.contacts.friction import pyramid_edges, wrench_rays
 from jaxcap.plotting.footprint import patches
 from jaxcap.plotting.kernels import CODES
 from jaxcap.plotting.region import clipped
 from jaxcap.plotting.travel import travel
-from jaxcap.velocity_area import VelocityArea, headings, velocity_area
+from jaxcap.regions.velocity_area import VelocityArea, headings, velocity_area
 
 pytestmark = pytest.mark.usefixtures("x64")
 UP, G, HEIGHT = np.eye(3), 9.81, 0.8

@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from state_files import fake_score, states
 
-from jaxcap.result import Case, Status
-from jaxcap.summary import CASES, STATUSES, Quantiles, Summary, rounding
+from jaxcap.commands.summary import CASES, STATUSES, Quantiles, Summary, rounding
+from jaxcap.one_state.result import Case, Status
 
 FLOATS = st.floats(width=32, allow_nan=False)
 

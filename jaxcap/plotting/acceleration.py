@@ -3,8 +3,8 @@
 import numpy as np
 from matplotlib.axes import Axes
 
-from jaxcap.capturability import GRAVITY
-from jaxcap.cone import CentroidalCone
+from jaxcap.contacts.cone import CentroidalCone
+from jaxcap.contacts.conventions import GRAVITY
 from jaxcap.plotting.style import BLUE, DARK, GREY, PALE, RED, axes_or_new, halo
 from jaxcap.plotting.travel import Travel, travel
 

@@ -7,9 +7,9 @@ from matplotlib.colors import to_rgba
 from matplotlib.patches import Patch
 from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
 
-from jaxcap.contacts import FloatArray
+from jaxcap.contacts.conventions import FloatArray
 from jaxcap.plotting.style import BLUE, DARK, GREY, axes_or_new
-from jaxcap.velocity_area import VelocityArea
+from jaxcap.regions.velocity_area import VelocityArea
 
 CUT = 1.3
 """Speeds are cut a little beyond the largest finite one, at this many times that one ..."""

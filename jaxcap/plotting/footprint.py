@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Float
 from matplotlib.axes import Axes
 
-from jaxcap.contacts import ContactSet
+from jaxcap.contacts.contact_set import ContactSet
 from jaxcap.plotting.style import DARK, axes_or_new, halo
 
 LARGEST = 0.5

@@ -9,9 +9,9 @@ from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
+from jaxcap.one_state.result import Case, Status
 from jaxcap.plotting.style import BLUE, DARK, GREY, ORANGE, RED, axes_or_new, halo
 from jaxcap.plotting.words import DEGREES, label_of, place_of, unit_of, values_of
-from jaxcap.result import Case, Status
 
 LEVELS = 12
 """Contours, more or less."""

@@ -6,7 +6,7 @@ from matplotlib.axes import Axes
 from jaxcap.plotting.areas import velocity_areas
 from jaxcap.plotting.kernels import at_selection
 from jaxcap.plotting.style import BLUE
-from jaxcap.velocity_area import VelocityArea
+from jaxcap.regions.velocity_area import VelocityArea
 
 POLAR = ("com_x", "com_y", "heading")
 """Axes of a map of velocity areas."""

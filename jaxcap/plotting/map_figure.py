@@ -5,9 +5,9 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.figure import Figure
 
-from jaxcap.contact_axes import contacts_at
-from jaxcap.contacts import ContactSet
-from jaxcap.grid import CONTACTS
+from jaxcap.contacts.contact_set import ContactSet
+from jaxcap.maps.contact_axes import contacts_at
+from jaxcap.maps.grid import CONTACTS
 from jaxcap.plotting.footprint import footprint
 from jaxcap.plotting.kernels import at_selection, kernel_slice
 from jaxcap.plotting.map_areas import POLAR, map_areas, weakest

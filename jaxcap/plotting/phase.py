@@ -4,8 +4,8 @@ import numpy as np
 from matplotlib.axes import Axes
 
 import jaxcap
-from jaxcap.capturability import GRAVITY
-from jaxcap.cone import CentroidalCone
+from jaxcap.contacts.cone import CentroidalCone
+from jaxcap.contacts.conventions import GRAVITY
 from jaxcap.plotting.acceleration import endpoint, static_region
 from jaxcap.plotting.style import BLUE, DARK, PALE, RED, axes_or_new
 from jaxcap.plotting.travel import Travel, travel

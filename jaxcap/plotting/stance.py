@@ -6,13 +6,13 @@ from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 from mpl_toolkits.mplot3d.axes3d import Axes3D
 
-from jaxcap.cone import centroidal_cone
-from jaxcap.contacts import ContactSet
-from jaxcap.friction import pyramid_edges
+from jaxcap.contacts.cone import centroidal_cone
+from jaxcap.contacts.contact_set import ContactSet
+from jaxcap.contacts.friction import pyramid_edges
 from jaxcap.plotting.footprint import patches
 from jaxcap.plotting.region import clipped
 from jaxcap.plotting.style import BLUE, DARK, GREY, ORANGE, RED, axes_or_new
-from jaxcap.support_polygon import support_polygon
+from jaxcap.regions.support_polygon import support_polygon
 
 PYRAMID = 0.07
 """Height of a friction pyramid, relative to the size of the picture."""

@@ -7,14 +7,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxcap.batch import padded_cone
-from jaxcap.boundary import Boundary, End
-from jaxcap.capturability import capturability
-from jaxcap.cone import CentroidalCone
-from jaxcap.numerics import direction, root
+from jaxcap.batch.blocks import padded_cone
+from jaxcap.contacts.cone import CentroidalCone
+from jaxcap.numerics.guarded import direction, root
+from jaxcap.one_state.boundary import Boundary, End
+from jaxcap.one_state.capturability import capturability
+from jaxcap.one_state.face_polygon import polygon
+from jaxcap.one_state.result import Capturability, Case, Status
 from jaxcap.plotting.region import clipped
-from jaxcap.polygon import polygon
-from jaxcap.result import Capturability, Case, Status
 
 STEPS = 256
 """Stretches into which a walk is cut."""

@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Float
 
-from jaxcap.grid import AXES
+from jaxcap.maps.grid import AXES
 
 DEGREES = "deg"
 """Angles of a map are in radians, those of a picture in degrees."""

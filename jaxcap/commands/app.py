@@ -1,0 +1,25 @@
+"""The subcommands of `jaxcap`, by name. Importing this module needs tyro and tqdm (extra `cli`)."""
+
+from collections.abc import Sequence
+
+import tyro
+
+from jaxcap.commands.map import MAP, map_kernel
+from jaxcap.commands.plot import PLOT, plot
+from jaxcap.commands.score import SCORE, score
+
+COMMANDS = {"score": (score, SCORE), "map": (map_kernel, MAP), "plot": (plot, PLOT)}
+
+def run(arguments: Sequence[str]) -> None:
+    """Parses the arguments and runs the subcommand. Raises SystemExit after --help and for wrong usage."""
+    app = tyro.extras.SubcommandApp()
+    for name, (command, text) in COMMANDS.items():
+        chosen = name in arguments[:1]  # the list of commands gives each one line
+        app.command(command, name=name, help=text if chosen else text.partition("\n")[0])
+    app.cli(
+        prog="jaxcap",
+        description="Can this robot still stop? Zero-step capturability in multi-contact.\n\n"
+        "jaxcap --version prints the version.",
+        args=arguments,
+        config=(tyro.conf.FlagCreatePairsOff,),
+    )
