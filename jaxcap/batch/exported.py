@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxcap.batch.blocks import BLOCK, LANES, padded_cone
-from jaxcap.batch.rounds import answers
+from jaxcap.batch.rounds import Shared, States, scored_block
 from jaxcap.contacts.cone import CentroidalCone, ConeRays, cone_rays
 from jaxcap.contacts.contact_set import ContactSet
 from jaxcap.contacts.conventions import GRAVITY
@@ -97,8 +97,8 @@ def _serialized(cone: Callable, of_contacts: Sequence, n: int | str, dtype, grav
     def capturability(*arguments):
         *contacts, coms, com_velocities = arguments
         common = cone(*contacts)
-        answer = lambda states: answers(common, states, gravity, False)._asdict()
-        return _over_blocks(answer, (coms, com_velocities), block)
+        answer = lambda states: scored_block(Shared(gravity, common), states, False)._asdict()
+        return _over_blocks(answer, States(coms, com_velocities), block)
 
     with jax.enable_x64(dtype.itemsize == 8):
         (count,) = jax.export.symbolic_shape(n) if isinstance(n, str) else (n,)
@@ -107,7 +107,7 @@ def _serialized(cone: Callable, of_contacts: Sequence, n: int | str, dtype, grav
 
 
 def _over_blocks(one: Callable, rows, block: int):
-    """`one` of all rows, a block at a time; their number may be a symbol, that of a block is not."""
+    """`one` of all rows, a block at a time. Not `over_chunks`: the number of rows may be a symbol, and rows stay first."""
     n = jax.tree.leaves(rows)[0].shape[0]
     blocks = (n + block - 1) // block
     fill = lambda x: jnp.pad(x, ((0, blocks * block - n), (0, 0))).reshape(blocks, block, *x.shape[1:])

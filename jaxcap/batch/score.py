@@ -1,14 +1,14 @@
 """Many states: blocks for the cores and the devices."""
 
-from functools import cache, partial
+from functools import cache
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Num
 
-from jaxcap.batch.blocks import BLOCK, RAYS_BLOCK, block_of, padded_cone, side_by_side
+from jaxcap.batch.blocks import BLOCK, RAYS_BLOCK, block_of, over_blocks, padded_cone
 from jaxcap.batch.devices import Spread, spread_over
-from jaxcap.batch.rounds import answers
+from jaxcap.batch.rounds import Shared, States, scored_block
 from jaxcap.contacts.cone import CentroidalCone, ConeRays
 from jaxcap.contacts.conventions import GRAVITY, FloatArray
 from jaxcap.one_state.result import Capturability
@@ -36,38 +36,42 @@ def score(
     Raises TypeError for wrong shapes.
     """
     coms, com_velocities = jnp.asarray(coms), jnp.asarray(com_velocities)
+    _check_shapes(cone, coms, com_velocities)
+    states = States(coms, com_velocities, cone if _own(cone) else None)
+    shared = Shared(jnp.asarray(gravity, jnp.result_type(coms, jnp.float32)), None if _own(cone) else padded_cone(cone))
+    if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves((states, shared.cone))):
+        return scored_block(shared, states, neighbours)
+    devices = spread_over((states, shared))
+    shares = max(len(devices), 1)
+    block, n = shares * (RAYS_BLOCK if _own(cone) else BLOCK), len(coms)
+    if shares == 1:
+        return over_blocks(lambda start: _compiled(shared, block_of(states, n, start, block), neighbours), n, block)
+    spread = _spread(devices, neighbours)
+    everywhere = spread.everywhere(shared)
+    return over_blocks(lambda start: spread(everywhere, block_of(states, n, start, block, shares)), n, block)
+
+
+def _own(cone: CentroidalCone | ConeRays) -> bool:
+    """Whether every state has a contact set of its own."""
+    return isinstance(cone, ConeRays) and cone.batched
+
+
+def _check_shapes(cone: CentroidalCone | ConeRays, coms, com_velocities) -> None:
+    """Raises TypeError."""
     for name, value in (("coms", coms), ("com_velocities", com_velocities)):
         if value.ndim != 2 or value.shape[1] != 3:
             raise TypeError(f"{name} has shape {value.shape} (expected (n, 3))")
     n = len(coms)
     if n != len(com_velocities):
         raise TypeError(f"coms has {n} rows and com_velocities {len(com_velocities)} (expected as many)")
-    own = isinstance(cone, ConeRays) and cone.rays.ndim == 3
-    if own and len(cone.rays) != n:
+    if isinstance(cone, ConeRays) and cone.batched and len(cone.rays) != n:
         raise TypeError(f"cone has rays of {len(cone.rays)} contact sets (expected one, or one for each of {n} states)")
-    cone = padded_cone(cone)
-    gravity = jnp.asarray(gravity, jnp.result_type(coms, jnp.float32))
-    per_state, common = ((coms, com_velocities, cone), None) if own else ((coms, com_velocities), cone)
-    if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves((coms, com_velocities, cone))):
-        return answers(common, per_state, gravity, neighbours)
-    devices = spread_over((per_state, common, gravity))
-    shares = max(len(devices), 1)
-    block = shares * (RAYS_BLOCK if own else BLOCK)
-    if shares == 1:
-        answer = lambda states: _compiled(common, states, gravity, neighbours)
-    else:
-        spread = _spread(devices, neighbours)
-        answer = partial(spread, spread.everywhere((common, gravity)))
-    run = lambda start: answer(block_of(per_state, n, start, block, shares))
-    first, *starts = range(0, max(n, 1), block)
-    parts = [run(first), *side_by_side(run, starts)]
-    return jax.tree.map(lambda *fields: jnp.concatenate(fields)[:n], *parts)
 
 
-_compiled = jax.jit(answers, static_argnames="neighbours")
+_compiled = jax.jit(scored_block, static_argnames="neighbours")
 
 
 @cache
 def _spread(devices: tuple[jax.Device, ...], neighbours: bool) -> Spread:
     """A program for one block on each of the devices."""
-    return Spread(lambda common, states: answers(common[0], states, common[1], neighbours), devices)
+    return Spread(lambda shared, states: scored_block(shared, states, neighbours), devices)

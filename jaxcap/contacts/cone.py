@@ -76,6 +76,11 @@ class ConeRays(NamedTuple):
     length: Float[Array, "*batch"]
     """Distance of the farthest contact point from the origin [m], or 1 where there is none."""
 
+    @property
+    def batched(self) -> bool:
+        """Whether these are the rays of a batch of contact sets, not of one."""
+        return self.rays.ndim == 3
+
 
 def cone_rays(contacts: ContactSet, sides: int = 4) -> ConeRays:
     """The rays of the contacts' friction pyramids: the centroidal cone without its faces, at no cost.

@@ -18,10 +18,12 @@ from jaxtyping import Array, Int
 
 from jaxcap.batch.blocks import BLOCK, LANES, padded_cone, side_by_side
 from jaxcap.batch.devices import Spread, spread_over
-from jaxcap.batch.rounds import answer_block
+from jaxcap.batch.rounds import Shared, States, in_two_rounds
 from jaxcap.contacts.cone import CentroidalCone, ConeRays
 from jaxcap.maps.grid import CONTACTS, Grid, look_up
+from jaxcap.numerics.whole import ceil_div
 from jaxcap.one_state.decision import LIMITS, capturability_along, capturability_at
+from jaxcap.one_state.line import Motion
 
 REGION = 1 << 20
 """Most states of a region: a few megabytes of each figure."""
@@ -55,7 +57,7 @@ class Regions(NamedTuple):
     @property
     def counts(self) -> tuple[int, ...]:
         """Regions along each dimension."""
-        return tuple(-(-self.sizes[name] // step) for name, step in self.steps.items())
+        return tuple(ceil_div(self.sizes[name], step) for name, step in self.steps.items())
 
     def __len__(self) -> int:
         return math.prod(self.counts)
@@ -75,8 +77,8 @@ def regions(grid: Grid) -> Regions:
     sizes = dict(zip(grid.dims, grid.shape, strict=True))
     parts = {name: size if name in CONTACTS else 1 for name, size in sizes.items()}
     if "speed" in parts:
-        parts["speed"] = -(-sizes["speed"] // SPEEDS)
-    step = lambda name: -(-sizes[name] // parts[name])
+        parts["speed"] = ceil_div(sizes["speed"], SPEEDS)
+    step = lambda name: ceil_div(sizes[name], parts[name])
     while math.prod(map(step, sizes)) > REGION:
         longest = max((name for name in sizes if name != "speed"), key=step)
         parts[longest] *= 2
@@ -101,8 +103,8 @@ class Answers:
         lines = math.prod(self.regions.region(0).shape(self._dims))
         devices = spread_over(cones)
         self._shares = max(len(devices), 1)
-        blocks = -(-lines // (BLOCK * self._shares)) * self._shares
-        self._size = -(-lines // (blocks * LANES)) * LANES
+        blocks = ceil_div(lines, BLOCK * self._shares) * self._shares
+        self._size = ceil_div(lines, blocks * LANES) * LANES
         tables, gravity = jax.tree.map(jnp.asarray, tables), jnp.asarray(gravity, dtype)
         arguments = [(jax.tree.map(jnp.asarray, cone), tables, gravity) for cone in _equally_long(cones)]
         options = {"names": self._names, "size": self._size, "fields": self.quantities}
@@ -183,12 +185,12 @@ def _answers(cone, tables, gravity, start, first, shape, speeds, *, names, size:
     com, along = look_up(tables, dict(zip(names, places, strict=True)))
     along_all = partial(capturability_along, speeds=speeds, fields=fields)
     answer = partial(_at, fields=fields) if speeds is None else along_all
-    return answer_block(cone, (com.T, along.T), gravity, answer=answer)
+    return in_two_rounds(Shared(gravity, cone), States(com.T, along.T), answer=answer)
 
 
-def _at(line, speed, finite, fields: tuple[str, ...]):
+def _at(motion: Motion, fields: tuple[str, ...]):
     """Fields of `capturability_at`."""
-    answer = capturability_at(line, speed, finite)
+    answer = capturability_at(motion)
     return {name: getattr(answer, name) for name in fields}
 
 

@@ -7,7 +7,7 @@ from jaxtyping import Array, Num
 from jaxcap.contacts.cone import CentroidalCone, ConeRays
 from jaxcap.contacts.conventions import GRAVITY, FloatArray
 from jaxcap.one_state.decision import capturability_at
-from jaxcap.one_state.line import travel_of_lanes
+from jaxcap.one_state.line import motion_of_lanes
 from jaxcap.one_state.result import Capturability
 
 
@@ -37,6 +37,6 @@ def capturability_of_lanes(
     cone: CentroidalCone | ConeRays, com: Num[Array, "3 *n"], com_velocity: Num[Array, "3 *n"], gravity
 ) -> Capturability:
     """`capturability` of states side by side, lanes last."""
-    return capturability_at(*travel_of_lanes(cone, com, com_velocity, gravity))
+    return capturability_at(motion_of_lanes(cone, com, com_velocity, gravity))
 
 

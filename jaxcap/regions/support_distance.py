@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Num
 
-from jaxcap.batch.blocks import RAYS_BLOCK, block_of, over_chunks, side_by_side
+from jaxcap.batch.blocks import RAYS_BLOCK, block_of, over_blocks, over_chunks
 from jaxcap.contacts.cone import CentroidalCone, ConeRays
 from jaxcap.contacts.contact_set import ContactSet
 from jaxcap.contacts.conventions import GRAVITY, FloatArray
@@ -37,7 +37,7 @@ def support_distance(
     if isinstance(support, SupportPolygon):
         return support.distance(points)
     support = ConeRays(*(x if x.dtype == bool else x.astype(points.dtype) for x in map(jnp.asarray, support)))
-    return _distances(_to_rays, "rays", support, support.rays.ndim == 3, points, gravity)
+    return _distances(_to_rays, "rays", support, support.batched, points, gravity)
 
 
 def hull_distance(contacts: ContactSet, points: Num[FloatArray, "*n 2"], gravity=GRAVITY) -> Float[Array, "*n"]:
@@ -72,8 +72,7 @@ def _distances(one, name: str, region, own: bool, points, gravity):
         answer = _compiled_block(one, (region, rows), gravity)
     else:
         run = lambda start: _compiled_block(one, block_of((region, rows), n, start, RAYS_BLOCK), gravity)
-        first, *starts = range(0, max(n, 1), RAYS_BLOCK)
-        answer = jnp.concatenate([run(first), *side_by_side(run, starts)])[:n]
+        answer = over_blocks(run, n, RAYS_BLOCK)
     return answer.reshape(points.shape[:-1])
 
 
