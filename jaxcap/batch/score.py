@@ -11,6 +11,7 @@ from jaxcap.batch.devices import Spread, spread_over
 from jaxcap.batch.rounds import Shared, States, scored_block
 from jaxcap.contacts.cone import CentroidalCone, ConeRays
 from jaxcap.contacts.conventions import GRAVITY, FloatArray
+from jaxcap.contacts.scoring_input import check_cone, check_gravity, relative
 from jaxcap.one_state.result import Capturability
 
 
@@ -35,8 +36,11 @@ def score(
 
     Raises TypeError for wrong shapes.
     """
-    coms, com_velocities = jnp.asarray(coms), jnp.asarray(com_velocities)
+    check_cone(cone)
+    check_gravity(gravity)
     _check_shapes(cone, coms, com_velocities)
+    cone, coms = relative(cone, coms)
+    coms, com_velocities = jnp.asarray(coms), jnp.asarray(com_velocities)
     states = States(coms, com_velocities, cone if _own(cone) else None)
     shared = Shared(jnp.asarray(gravity, jnp.result_type(coms, jnp.float32)), None if _own(cone) else padded_cone(cone))
     if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves((states, shared.cone))):
@@ -59,8 +63,8 @@ def _own(cone: CentroidalCone | ConeRays) -> bool:
 def _check_shapes(cone: CentroidalCone | ConeRays, coms, com_velocities) -> None:
     """Raises TypeError."""
     for name, value in (("coms", coms), ("com_velocities", com_velocities)):
-        if value.ndim != 2 or value.shape[1] != 3:
-            raise TypeError(f"{name} has shape {value.shape} (expected (n, 3))")
+        if jnp.ndim(value) != 2 or jnp.shape(value)[1] != 3:
+            raise TypeError(f"{name} has shape {jnp.shape(value)} (expected (n, 3))")
     n = len(coms)
     if n != len(com_velocities):
         raise TypeError(f"coms has {n} rows and com_velocities {len(com_velocities)} (expected as many)")

@@ -6,6 +6,7 @@ from jaxtyping import Array, Num
 
 from jaxcap.contacts.cone import CentroidalCone, ConeRays
 from jaxcap.contacts.conventions import GRAVITY, FloatArray
+from jaxcap.contacts.scoring_input import check_cone, check_gravity, relative
 from jaxcap.one_state.decision import capturability_at
 from jaxcap.one_state.line import motion_of_lanes
 from jaxcap.one_state.result import Capturability
@@ -25,11 +26,13 @@ def capturability(
     Source: Section III, Algorithms 1 and 2, with the energy in place of time; C3.3, which the paper leaves open, by swings.
     """
     # NumPy arrays go to the compiled program as they are: to make JAX's of them first takes longer than the answer.
+    check_cone(cone)
+    check_gravity(gravity)
     com, com_velocity = (x if isinstance(x, jax.Array) else np.asarray(x) for x in (com, com_velocity))
     for name, value in (("com", com), ("com_velocity", com_velocity)):
         if value.shape != (3,):
             raise TypeError(f"{name} has shape {value.shape} (expected (3,); `score` takes many states)")
-    return capturability_of_lanes(cone, com, com_velocity, gravity)
+    return capturability_of_lanes(*relative(cone, com), com_velocity, gravity)
 
 
 @jax.jit

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int8, Num
 
 from jaxcap.contacts.cone import CentroidalCone, ConeRays
+from jaxcap.contacts.conventions import GRAVITY
 from jaxcap.numerics.guarded import direction, tolerances
 from jaxcap.one_state.boundary import Boundary, End
 from jaxcap.one_state.face_polygon import polygon
@@ -18,6 +19,12 @@ from jaxcap.one_state.ray_polygon import ray_polygon
 
 QUICK = 2
 """Pieces of the lower boundary that the quick round walks: all there are for two states of three."""
+
+
+FASTEST = 3e8
+"""A state that is faster [m/s] is none of a robot, and its energy is beyond what the precision holds."""
+FARTHEST = 0.1
+"""A CoM is too far from the contacts where rounding of its weight's torque is worth more than this part of their size."""
 
 
 class Line(NamedTuple):
@@ -44,7 +51,8 @@ class Motion(NamedTuple):
     speed: Float[Array, "*n"]
     """[m/s], >= 0."""
     finite: Bool[Array, "*n"]
-    """False where the state, or its contacts, hold NaN or infinity: line and speed are those of another state."""
+    """False where the state, its contacts or gravity hold NaN or infinity, or what the precision cannot hold; the line is
+    then that of another state."""
 
 
 class _Cut(NamedTuple):
@@ -82,13 +90,21 @@ def survey_of_lanes(
 
 def _cut(cone, com, com_velocity, gravity) -> _Cut:
     dtype = jnp.promote_types(jnp.result_type(com, com_velocity), jnp.float32)
-    com, com_velocity = com.astype(dtype), com_velocity.astype(dtype)
-    finite = jnp.all(jnp.isfinite(com) & jnp.isfinite(com_velocity), axis=0)
-    if isinstance(cone, ConeRays):
-        finite &= jnp.all(jnp.isfinite(cone.rays), axis=(0, 1))
+    com, com_velocity, gravity = com.astype(dtype), com_velocity.astype(dtype), jnp.asarray(gravity, dtype)
+    pulls = jnp.all(jnp.isfinite(gravity))
+    finite = jnp.all(jnp.isfinite(com) & jnp.isfinite(com_velocity), axis=0) & pulls & _finite_cone(cone)
     along, speed = direction(jnp.where(finite, com_velocity, 0))
     cut = ray_polygon if isinstance(cone, ConeRays) else polygon
-    return _Cut(cut(cone, jnp.where(finite, com, 0), along, jnp.asarray(gravity, dtype)), speed, finite)
+    # What is not finite gives way to numbers, of which the walk can make sense.
+    found = cut(cone, jnp.where(finite, com, 0), along, jnp.where(pulls, gravity, jnp.asarray(GRAVITY, dtype)))
+    near = tolerances(dtype).slack * found.size <= FARTHEST * jnp.asarray(cone.length, dtype)
+    return _Cut(found, speed, finite & near & (speed <= FASTEST))
+
+
+def _finite_cone(cone: CentroidalCone | ConeRays) -> Bool[Array, "*n"]:
+    """Whether faces or rays are numbers, lane by lane."""
+    rows = cone.rays if isinstance(cone, ConeRays) else jnp.asarray(cone.faces)
+    return jnp.all(jnp.isfinite(rows), axis=(0, 1)) & jnp.all(jnp.isfinite(jnp.asarray(cone.origin)), axis=0)
 
 
 def _line(polygon: Producer, survey: Survey, quick: bool) -> Line:
