@@ -1,12 +1,11 @@
 """The centroidal cone of a contact set: by its faces, or by its rays."""
 
-from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Bool, Float
 
 from jaxcap.contacts.contact_set import ContactSet
 from jaxcap.contacts.conventions import FloatArray
@@ -14,9 +13,7 @@ from jaxcap.contacts.friction import wrench_rays
 from jaxcap.contacts.projection import ProjectionError, cone_faces
 
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True, eq=False)
-class CentroidalCone:
+class CentroidalCone(NamedTuple):
     """All wrenches that the contacts can exert: faces @ (force, torque about `origin`) <= 0, (6).
 
     A row is a face, an equality a pair of opposite rows; rows of zeros are padding. Rows are scaled such that
@@ -33,16 +30,25 @@ class CentroidalCone:
     def padded(self, rows: int) -> "CentroidalCone":
         """The same cone with at least this many rows: those added bound nothing."""
         extra = max(0, rows - len(self.faces))
-        xp = self.faces.__array_namespace__()
+        xp: Any = self.faces.__array_namespace__()
         return CentroidalCone(xp.pad(self.faces, ((0, extra), (0, 0))), self.origin, self.length) if extra else self
 
 
 def centroidal_cone(contacts: ContactSet, sides: int = 4) -> CentroidalCone:
     """Project the contacts' friction pyramids to the faces of the centroidal cone (6); host only, once a contact set.
 
-    contacts: at least one that is not masked. sides: edges of each friction pyramid, >= 3. The faces hold for any mass.
-    Raises ValueError for an empty set, sides < 3 or contacts under a JAX transformation (`cone_rays` takes those), and
-    ProjectionError, a ValueError, where the faces found do not pass their check against the rays.
+    Args:
+        contacts: one set, with at least one contact that is not masked.
+        sides: edges of each friction pyramid, >= 3.
+
+    Returns:
+        The faces, in double precision. They hold for any mass.
+
+    Raises:
+        ValueError: for an empty set, sides < 3 or contacts under a JAX transformation (`cone_rays` takes those).
+        ProjectionError: a ValueError, where the faces found do not pass their check against the rays.
+
+    Source: Caron, Pham, Nakamura, Leveraging Cone Double Description for Multi-contact Stability, RSS 2015.
     """
     if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(contacts)):
         raise ValueError("centroidal_cone works on the host, once for each contact set: call it outside jit, vmap and grad")
@@ -52,11 +58,12 @@ def centroidal_cone(contacts: ContactSet, sides: int = 4) -> CentroidalCone:
     origin = active.points.mean(axis=0)
     length = np.linalg.norm(active.points - origin, axis=1).max() or 1.0
     scale = np.array([1, 1, 1, length, length, length])
-    rays = wrench_rays(active, sides, origin) / scale
+    rays = np.asarray(wrench_rays(active, sides, origin)) / scale
     try:
         faces = cone_faces(rays)
     except ProjectionError as error:
         raise ProjectionError(f"faces of {len(active)} contacts with {sides} sides: {error}") from error
+    # An order that rounding does not change: not that of the contacts, nor Qhull's.
     order = np.lexsort(np.round(faces, 9).T)
     return CentroidalCone(faces=faces[order] / scale, origin=origin, length=np.asarray(length))
 
@@ -67,13 +74,13 @@ class ConeRays(NamedTuple):
     One contact set, or a batch of them with equally many rows.
     """
 
-    rays: Float[Array, "*batch r 6"]
+    rays: Float[FloatArray, "*batch r 6"]
     """[-] for force, of unit length, [m] for torque; rays of masked contacts are zero."""
-    mask: Bool[Array, "*batch r"]
+    mask: Bool[FloatArray, "*batch r"]
     """False for the rays of masked contacts."""
-    origin: Float[Array, "*batch 3"]
+    origin: Float[FloatArray, "*batch 3"]
     """Centroid of the contact points [m]: a robot far from the world's origin is scored like one near it."""
-    length: Float[Array, "*batch"]
+    length: Float[FloatArray, "*batch"]
     """Distance of the farthest contact point from the origin [m], or 1 where there is none."""
 
     @property
@@ -85,16 +92,25 @@ class ConeRays(NamedTuple):
 def cone_rays(contacts: ContactSet, sides: int = 4) -> ConeRays:
     """The rays of the contacts' friction pyramids: the centroidal cone without its faces, at no cost.
 
-    contacts: one set, or a batch of sets of equally many rows (see `ContactSet.padded`), each of which may be masked in
-    part or altogether. sides: edges of each friction pyramid, >= 3. Pure: works under jit, vmap, and is differentiable in
-    points, frames and friction. Raises ValueError if sides < 3.
+    Pure: works under jit and vmap, and is differentiable in points, frames and friction.
+
+    Args:
+        contacts: one set, or a batch of sets of equally many rows (see `ContactSet.padded`), each of which may be masked in
+            part or altogether.
+        sides: edges of each friction pyramid, >= 3.
+
+    Returns:
+        The rays, with a leading axis for a batch.
+
+    Raises:
+        ValueError: if sides < 3.
     """
     contacts = jax.tree.map(jnp.asarray, contacts)
     mask = contacts.mask[..., None]
-    count = jnp.maximum(jnp.sum(mask, axis=-2), 1)
+    active = jnp.maximum(jnp.sum(mask, axis=-2), 1)
     # Where torques are taken about changes nothing, nor does their scale: no gradient.
     points = jax.lax.stop_gradient(contacts.points)
-    origin = jnp.sum(jnp.where(mask, points, 0), axis=-2) / count
+    origin = jnp.sum(jnp.where(mask, points, 0), axis=-2) / active
     square = jnp.max(jnp.sum(jnp.where(mask, points - origin[..., None, :], 0) ** 2, axis=-1), axis=-1, initial=0)
     length = jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1)), 1)
     mask = jnp.repeat(contacts.mask, sides, axis=-1)
