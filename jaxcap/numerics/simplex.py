@@ -16,6 +16,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxcap.numerics.guarded import tolerances
@@ -85,6 +86,16 @@ def identity(shape: tuple, dtype) -> Basis:
 def times(matrix: Float[Array, "6 6 *n"], vector: Float[Array, "6 *n"]) -> Float[Array, "6 *n"]:
     """Product, lane by lane. The sum is written out: XLA's reductions over computed products are slow on a CPU."""
     return sum(matrix[:, i] * vector[i] for i in range(6))
+
+
+def mixture(rays: Float[Array, "6 r *#n"]) -> Float[Array, "6 *#n"]:
+    """A random amount of every ray, of all together about four: what a target is moved by, a little.
+
+    Ties are broken by it, and the cone is closed in spite of rounding. Regular amounts would cancel each other around a
+    pyramid.
+    """
+    amounts = jnp.asarray(np.random.default_rng(0).exponential(size=rays.shape[1]), rays.dtype)
+    return jnp.tensordot(amounts, rays, axes=(0, 1)) * (4 / rays.shape[1])
 
 
 def combination(vector: Float[Array, "6 *n"], rows: Float[Array, "6 k *#n"]) -> Float[Array, "k *n"]:
@@ -230,41 +241,86 @@ def solve(program: Program, basis: Basis, active: Bool[Array, "*n"]) -> Solution
 def _step(program: Program, state: SimplexState) -> SimplexState:
     """One pivot, or the end."""
     (basis, outcome, pivots), running, flat, count = state
-    bounds = tolerances(program.target.dtype)
-    zero, slack = bounds.weight * program.scale, bounds.slack * program.scale
     late = count >= BLAND
-    held = times(basis.inverse, program.target)
-    is_ray, is_unit, is_free = basis.index >= 0, basis.index <= UNIT, basis.index == FREE
-    left_over = is_unit & (jnp.abs(held) > jnp.where(flat, slack, zero))
-    missing = jnp.where(is_ray & (held < -zero), -1, jnp.where(left_over, jnp.sign(held), 0))
-    seeking = jnp.any(missing != 0, axis=0)
-    normal = combination(jnp.where(seeking, missing, is_free).astype(held.dtype), basis.inverse)
-
-    # The ray that lies farthest outside the face through the basis.
-    gain = jax.lax.optimization_barrier(combination(normal, program.rays))
-    enough = bounds.reduced_cost * jnp.max(jnp.abs(normal), axis=0)
-    best = jnp.max(gain, axis=0)
-    entering = first_of(gain, jnp.where(late, enough, best))
-    improves = running & (best > enough)
-
-    # The column that has to leave: of those that come to zero first, as far as rounding can tell, the largest pivot.
+    held = _held(program, basis, flat)
+    normal = combination(held.objective(basis).astype(held.weights.dtype), basis.inverse)
+    entering, improves = _entering(program, normal, late)
+    improves &= running
     direction = times(basis.inverse, ray(program.rays, entering))
-    size = jnp.abs(direction)
-    falls = jnp.where(missing != 0, direction * held > 0, is_unit | is_ray & (direction > 0)) & ~is_free
-    falls &= size > bounds.pivot
-    left = jnp.where(missing != 0, jnp.abs(held), jnp.where(is_unit, 0, jnp.maximum(held, 0)))
-    safe = jnp.where(falls, size, 1)
-    reach = jnp.min(jnp.where(falls, (left + zero) / safe, jnp.inf), axis=0)
-    preferred = jnp.where(late, 1 / (2.0 + jnp.abs(basis.index)).astype(size.dtype), size)
-    element, leaving = largest(jnp.where(falls & (left / safe <= reach), preferred, 0))   # a product could round down
+    leaving, gives_way = _leaving(program, basis, held, direction, late)
 
-    go = improves & (element > 0)
-    stuck = running & ~improves & seeking
-    small = ~jnp.any(is_ray & (missing != 0) | is_unit & (jnp.abs(held) > slack), axis=0)
-    flattens = stuck & small & ~flat
+    go = improves & gives_way
+    stuck = running & ~improves & held.seeking
+    flattens = stuck & _within_slack(program, basis, held) & ~flat
     ending = jnp.where(stuck, Outcome.INFEASIBLE, Outcome.OPTIMAL)
-    unbounded = improves & ~go
     outcome = jnp.where(running & ~improves & ~flattens, ending, outcome)
-    outcome = jnp.where(unbounded, jnp.where(seeking, Outcome.UNDECIDED, Outcome.UNBOUNDED), outcome)
+    # No column gives way: z falls without end. What is missing cannot, so there it is rounding that fails.
+    endless = jnp.where(held.seeking, Outcome.UNDECIDED, Outcome.UNBOUNDED)
+    outcome = jnp.where(improves & ~gives_way, endless, outcome)
     basis = pivot(basis, leaving, entering, direction, go)
     return SimplexState(Solution(basis, outcome.astype(jnp.int32), pivots + go), go | flattens, flat | flattens, count + 1)
+
+
+class Held(NamedTuple):
+    """What the six columns of a basis hold of the target, and which of them hold what they must not."""
+
+    weights: Float[Array, "6 *n"]
+    missing: Float[Array, "6 *n"]
+    """-1 for a ray below zero, the sign of a unit column that is not zero, else 0."""
+    seeking: Bool[Array, "*n"]
+    """Something is missing: that is made smaller first."""
+
+    def objective(self, basis: Basis) -> Array:
+        """Which columns' weights are to become smaller: those that are missing, or else the free variable's."""
+        return jnp.where(self.seeking, self.missing, basis.index == FREE)
+
+
+def _held(program: Program, basis: Basis, flat: Bool[Array, "*n"]) -> Held:
+    bounds = tolerances(program.target.dtype)
+    zero, slack = bounds.weight * program.scale, bounds.slack * program.scale
+    weights = times(basis.inverse, program.target)
+    left_over = (basis.index <= UNIT) & (jnp.abs(weights) > jnp.where(flat, slack, zero))
+    missing = jnp.where((basis.index >= 0) & (weights < -zero), -1, jnp.where(left_over, jnp.sign(weights), 0))
+    return Held(weights, missing, jnp.any(missing != 0, axis=0))
+
+
+def _within_slack(program: Program, basis: Basis, held: Held) -> Bool[Array, "*n"]:
+    """Nothing is missing but unit columns' weights, and those by no more than the slack."""
+    slack = tolerances(program.target.dtype).slack * program.scale
+    is_ray, is_unit = basis.index >= 0, basis.index <= UNIT
+    return ~jnp.any(is_ray & (held.missing != 0) | is_unit & (jnp.abs(held.weights) > slack), axis=0)
+
+
+def _entering(program: Program, normal: Float[Array, "6 *n"], late) -> tuple[Int[Array, "*n"], Bool[Array, "*n"]]:
+    """The ray that lies farthest outside the face with this normal (late: the first that does), and whether one does."""
+    # Stored before it is reduced, or XLA's CPU code computes each product again for every lane of the reduction.
+    gain = jax.lax.optimization_barrier(combination(normal, program.rays))
+    enough = tolerances(gain.dtype).reduced_cost * jnp.max(jnp.abs(normal), axis=0)
+    best = jnp.max(gain, axis=0)
+    return first_of(gain, jnp.where(late, enough, best)), best > enough
+
+
+def _leaving(program: Program, basis: Basis, held: Held, direction, late) -> tuple[Bool[Array, "6 *n"], Bool[Array, "*n"]]:
+    """The column that has to leave as a ray comes in, of those that come to zero first, and whether there is one."""
+    bounds = tolerances(direction.dtype)
+    is_ray, is_unit, missing = basis.index >= 0, basis.index <= UNIT, held.missing != 0
+    size = jnp.abs(direction)
+    falls = jnp.where(missing, direction * held.weights > 0, is_unit | is_ray & (direction > 0)) & (basis.index != FREE)
+    left = jnp.where(missing, jnp.abs(held.weights), jnp.where(is_unit, 0, jnp.maximum(held.weights, 0)))
+    bland = 1 / (2.0 + jnp.abs(basis.index)).astype(size.dtype)
+    preferred = jnp.where(late, bland, size)
+    return leaving_of(falls & (size > bounds.pivot), left, size, bounds.weight * program.scale, preferred)
+
+
+def leaving_of(falls, left, size, spare, preferred) -> tuple[Bool[Array, "6 *n"], Bool[Array, "*n"]]:
+    """The ratio test: which of six columns has to leave, and whether there is one.
+
+    falls: columns that come nearer to zero as the new one comes in. left: how far they are from it. size: how fast they
+    fall. spare: how far below zero a weight may come so that a larger pivot can be taken (Harris). preferred: of columns
+    that rounding cannot tell apart, the one where this is largest.
+    """
+    safe = jnp.where(falls, size, 1)
+    within = jnp.min(jnp.where(falls, (left + spare) / safe, jnp.inf), axis=0)
+    # Compared as quotients on both sides: a product could round down, and the very column that sets the bound be left out.
+    element, leaving = largest(jnp.where(falls & (left / safe <= within), preferred, 0))
+    return leaving, element > 0

@@ -9,7 +9,6 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxcap.contacts.cone import ConeRays
@@ -139,15 +138,11 @@ def ray_polygon(
     columns = columns.reshape(*columns.shape, *[1] * (com.ndim + 1 - columns.ndim))   # one set for all lanes
     columns = jax.lax.optimization_barrier(scaled(columns))
     scale, steepest = line.weight * line.reach, line.weight / line.length
-    # A random amount of every ray: ties are broken, and the cone is closed in spite of rounding. (Regular amounts would
-    # cancel each other around a pyramid.)
-    amounts = jnp.asarray(np.random.default_rng(0).exponential(size=columns.shape[1]), com.dtype)
-    inside = jnp.tensordot(amounts, columns, axes=(0, 1)) * (4 / columns.shape[1])
     return RayPolygon(
         rays=columns,
         per_acceleration=scaled(line.per_acceleration),
         per_alpha=_without_noise(scaled(line.per_alpha), bounds.zero_coefficient * steepest),
-        target=bounds.slack * scale * inside - scaled(line.at_rest),
+        target=bounds.slack * scale * simplex.mixture(columns) - scaled(line.at_rest),
         scale=scale,
         steepest=steepest,
         size=line.length * line.reach,

@@ -13,7 +13,6 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jaxcap.contacts.cone import ConeRays
@@ -114,10 +113,7 @@ def _program(rays: ConeRays, up, axes) -> tuple[Program, Float[Array, "2 r *n"]]
     positions = jnp.concatenate([positions, jnp.zeros_like(positions[:, :1])], axis=1)
     target = jnp.concatenate([up, jnp.array([0, 1, 0], up.dtype)])
     target = jnp.broadcast_to(target.reshape(6, *[1] * (columns.ndim - 2)), (6, *columns.shape[2:]))
-    # A random amount of every ray: ties are broken, and the cone is closed in spite of rounding.
-    amounts = jnp.asarray(np.random.default_rng(0).exponential(size=columns.shape[1]), columns.dtype)
-    inside = jnp.tensordot(amounts, columns, axes=(0, 1)) * (4 / columns.shape[1])
-    target = target + tolerances(columns.dtype).slack * inside
+    target = target + tolerances(columns.dtype).slack * simplex.mixture(columns)
     return Program(columns, unit(5, 6), target, jnp.ones(columns.shape[2:], columns.dtype)), positions
 
 
@@ -154,8 +150,4 @@ def _leaving(corner: Corner, direction) -> tuple[Bool[Array, "6 *n"], Bool[Array
     size = jnp.where(unit, jnp.abs(direction), direction)
     falls = (index != FREE) & (size > tolerances(direction.dtype).pivot)
     left = jnp.where(unit, 0, corner.weights)
-    safe = jnp.where(falls, size, 1)
-    short = SHORT[jnp.finfo(direction.dtype).bits]
-    reach = jnp.min(jnp.where(falls, (left + short) / safe, jnp.inf), axis=0)
-    element, leaving = simplex.largest(jnp.where(falls & (left / safe <= reach), size, 0))
-    return leaving, element > 0
+    return simplex.leaving_of(falls, left, size, SHORT[jnp.finfo(direction.dtype).bits], size)
