@@ -246,7 +246,7 @@ def test_zero_rows(tmp_path, capsys, source, target):
 
 def test_the_last_batch_has_the_shape_of_the_others(monkeypatch, tmp_path, arguments):
     shapes = []
-    monkeypatch.setattr(jaxcap, "score", lambda cone, c, v, gravity: shapes.append(c.shape) or fake_score(cone, c, v))
+    monkeypatch.setattr(jaxcap, "score", lambda cone, c, v, **_: shapes.append(c.shape) or fake_score(cone, c, v))
     assert main([*arguments, "--batch-size", "4"]) == 0
     assert shapes == [(4, 3)] * 4  # one to compile
     assert pq.read_metadata(tmp_path / "out.parquet").num_rows == 10

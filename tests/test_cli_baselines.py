@@ -34,7 +34,6 @@ FOOT = [rectangle([0, y, 0], np.eye(3), 0.1, 0.05, 0.5) for y in (0.1, -0.1)]
 def quick(monkeypatch):
     """A predictor that compiles nothing: it is the baselines that are tested."""
     score = lambda cone, coms, com_velocities, **_: fake_score(cone, coms, com_velocities)
-    monkeypatch.setattr(contact_rows, "score", score)
     monkeypatch.setattr(jaxcap, "score", score)
 
 

@@ -43,7 +43,6 @@ def scored(monkeypatch):
         calls.append({"rows": len(coms), "type": type(cone), **options})
         return fake_score(cone, coms, com_velocities)
 
-    monkeypatch.setattr(contact_rows, "score", score)
     monkeypatch.setattr(jaxcap, "score", score)
     return calls
 

@@ -6,7 +6,8 @@ import tyro
 
 from jaxcap.commands.map import MAP, map_kernel
 from jaxcap.commands.plot import PLOT, plot
-from jaxcap.commands.score import SCORE, score
+from jaxcap.commands.score import score
+from jaxcap.commands.score_help import SCORE
 
 COMMANDS = {"score": (score, SCORE), "map": (map_kernel, MAP), "plot": (plot, PLOT)}
 

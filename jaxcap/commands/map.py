@@ -15,7 +15,7 @@ from jaxcap.commands.summary import rounding
 from jaxcap.errors import InputError
 from jaxcap.files.contact_files import read_contact_sets
 from jaxcap.maps.contact_axes import Contacts, given_sets, with_sets
-from jaxcap.maps.grid import POSITION, axes_around, grid
+from jaxcap.maps.grid import POSITION, axes_around, grid_of
 
 MAP = """Map where a robot can stop: capturability over a grid of states.
 
@@ -108,7 +108,7 @@ def map_kernel(
     stance = _contacts(contacts)
     given = named_values("--axis", axis, "NAME=VALUES, for example com_x=-0.4:0.4:201")
     axes = with_sets(stance, axes_around(given_sets(stance).values(), given))
-    points = grid(axes)
+    points = grid_of(axes)
     start = time.perf_counter()
     try:
         with jax.enable_x64(dtype == "float64"), compilation_cache(cache):

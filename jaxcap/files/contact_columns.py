@@ -90,6 +90,11 @@ class RowChoices(NamedTuple):
     missing: Bool[np.ndarray, " n"]
     """Rows without a value."""
 
+    def shown(self, row: int) -> str:
+        """What the column says in a row, for messages."""
+        number = self.numbers[row]
+        return str(number) if self.names is None else repr(self.names[number])
+
 
 def contact_columns(path, names: Iterable[str]) -> tuple[str, ...]:
     """The columns that speak of contacts: those of OWN, or CHOICE, or none. Raises InputError for both, or for a part."""
@@ -103,7 +108,7 @@ def contact_columns(path, names: Iterable[str]) -> tuple[str, ...]:
     return own or ((CHOICE,) if CHOICE in names else ())
 
 
-def expected(name: str) -> str:
+def content_of(name: str) -> str:
     """What a column holds in each row, in words."""
     if name == MASK:
         return "a list of k booleans"
@@ -112,7 +117,7 @@ def expected(name: str) -> str:
     return f"{' x '.join(map(str, ('k', *INNER[name])))} or {math.prod(INNER[name])} k numbers"
 
 
-def count(where: str, name: str, row: Sequence[int | None]) -> int | None:
+def size_by_shape(where: str, name: str, row: Sequence[int | None]) -> int | None:
     """Number of contacts by the shape of a row, None if the rows say it (or there is one friction for all).
 
     row: sizes of the axes, None for one that differs from row to row. Raises InputError if the column cannot be this one.
@@ -122,7 +127,7 @@ def count(where: str, name: str, row: Sequence[int | None]) -> int | None:
     flat = len(row) == 1 and (row[0] is None or row[0] % size == 0)
     if not (nested or flat or (name == FRICTION and len(row) == 0)):
         shape = ", ".join("any" if n is None else str(n) for n in row)
-        raise InputError(f"{where} has rows of shape ({shape}) (expected {expected(name)})")
+        raise InputError(f"{where} has rows of shape ({shape}) (expected {content_of(name)})")
     if not row or row[0] is None:
         return None
     k = row[0] if nested else row[0] // size
@@ -154,7 +159,7 @@ def from_arrays(columns: Mapping[str, np.ndarray], dtype: np.dtype) -> RowContac
 
     columns: contact_points (n, k, 3) [m], contact_frames (n, k, 3, 3), contact_friction (n, k) or (n,), and perhaps
     contact_mask (n, k) bool, False for padding; without it, points of three NaN are padding. The axes of a row may be
-    joined into one. dtype: float32 or float64, of the result. The shapes are those that `count` accepts; rows whose
+    joined into one. dtype: float32 or float64, of the result. The shapes are those that `size_by_shape` accepts; rows whose
     values cannot be used are named in the result.
     """
     n = len(columns[POINTS])
@@ -209,9 +214,13 @@ def _sized(values: np.ndarray, k: int) -> np.ndarray:
 
 
 def _check_values(points, frames, friction, mask, bad: BadRows) -> None:
-    """Adds the rows in which a contact that is not masked cannot be used."""
+    """Adds the rows in which a contact that is not masked cannot be used.
 
-    def add(wrong, why):
+    These are the contacts that `ContactSet` raises for, and a test holds the two against each other; but here one bad row
+    must not cost the others, so what is wrong is an array, and the first such row is put into words.
+    """
+
+    def add(wrong: Bool[np.ndarray, "n k"], why: Callable[[int, int], str]) -> None:
         wrong &= mask
         bad.add(wrong.any(axis=1), lambda row: why(row, int(np.argmax(wrong[row]))))
 

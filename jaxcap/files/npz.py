@@ -23,8 +23,8 @@ from jaxcap.files.contact_columns import (
     agree,
     chosen,
     contact_columns,
-    count,
     from_arrays,
+    size_by_shape,
 )
 from jaxcap.files.state_file import StateFile
 
@@ -106,7 +106,7 @@ class NpzStates(StateFile):
             if not member.shape or (name == CHOICE and member.row):
                 raise InputError(f"{where} has shape {member.shape} (expected {'(n,)' if name == CHOICE else 'n rows'})")
             if name != CHOICE:
-                counts[name] = count(where, name, member.row)
+                counts[name] = size_by_shape(where, name, member.row)
         agree(self.path, counts)
         self._empty = {name: members[name] for name in self.contacts if not members[name].width}
 

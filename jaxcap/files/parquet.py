@@ -51,7 +51,7 @@ class ParquetStates(StateFile):
         if self.contacts == (CHOICE,):
             arrow_contacts.check_choice(*kinds[CHOICE])
         else:
-            counts = {name: arrow_contacts.checked_count(where, name, kind) for name, (where, kind) in kinds.items()}
+            counts = {name: arrow_contacts.size_by_type(where, name, kind) for name, (where, kind) in kinds.items()}
             agree(self.path, counts)
         refuse_clashes(self.path, schema.names)
         self.types = {field.name: field for field in schema}

@@ -26,26 +26,28 @@ CONTACTS = ("contact_set", "friction", "slope", "downhill")
 
 
 class About(NamedTuple):
-    """What a file says about an axis."""
+    """What files and pictures say about an axis."""
 
     unit: str
+    label: str
+    """Beside an axis of a picture."""
     meaning: str
 
 
 AXES = {
-    "com_x": About("m", "CoM position, x"),
-    "com_y": About("m", "CoM position, y"),
-    "com_z": About("m", "CoM position, z, up"),
-    "velocity_x": About("m/s", "CoM velocity, x"),
-    "velocity_y": About("m/s", "CoM velocity, y"),
-    "velocity_z": About("m/s", "CoM velocity, z, up"),
-    "heading": About("rad", "direction of the CoM velocity in the horizontal plane, from x towards y"),
-    "pitch": About("rad", "elevation of the CoM velocity above the horizontal plane"),
-    "speed": About("m/s", "norm of the CoM velocity"),
-    "contact_set": About("1", "contact set, counted from 0"),
-    "friction": About("1", "friction coefficient of all contacts"),
-    "slope": About("rad", "tilt of all contacts, about a level axis through their centroid"),
-    "downhill": About("rad", "direction in which the slope goes down, from x towards y"),
+    "com_x": About("m", "CoM position x", "CoM position, x"),
+    "com_y": About("m", "CoM position y", "CoM position, y"),
+    "com_z": About("m", "CoM position z", "CoM position, z, up"),
+    "velocity_x": About("m/s", "CoM velocity x", "CoM velocity, x"),
+    "velocity_y": About("m/s", "CoM velocity y", "CoM velocity, y"),
+    "velocity_z": About("m/s", "CoM velocity z", "CoM velocity, z, up"),
+    "heading": About("rad", "heading", "direction of the CoM velocity in the horizontal plane, from x towards y"),
+    "pitch": About("rad", "pitch", "elevation of the CoM velocity above the horizontal plane"),
+    "speed": About("m/s", "CoM speed", "norm of the CoM velocity"),
+    "contact_set": About("1", "contact set", "contact set, counted from 0"),
+    "friction": About("1", "friction coefficient", "friction coefficient of all contacts"),
+    "slope": About("rad", "slope", "tilt of all contacts, about a level axis through their centroid"),
+    "downhill": About("rad", "downhill", "direction in which the slope goes down, from x towards y"),
 }
 """Every axis that a grid may have."""
 
@@ -64,7 +66,7 @@ MARGIN, ABOVE, PLACES, HEADINGS = 0.1, 0.8, 41, 72
 
 @dataclass(frozen=True, eq=False)
 class Grid:
-    """The states at all combinations of the axes' values; `grid` makes one."""
+    """The states at all combinations of the axes' values; `grid_of` makes one."""
 
     axes: dict[str, Float[np.ndarray, "..."]]
     """Values of each axis in float64: (n,), or () for an axis with one value, along which the grid has no dimension."""
@@ -117,7 +119,7 @@ class Grid:
         return com.T, along.T
 
 
-def grid(axes: Mapping[str, Any]) -> Grid:
+def grid_of(axes: Mapping[str, Any]) -> Grid:
     """The grid with these axes; see `maps.kernel_map`, which says what they may be. Raises InputError."""
     unknown = next((name for name in axes if name not in AXES), None)
     if unknown is not None:
@@ -211,16 +213,16 @@ def _from_text(name: str, text: str) -> Float[np.ndarray, "..."]:
     try:
         if ":" not in bare:
             return np.array([number(part) for part in bare.split(",")]) if "," in bare else np.array(number(bare))
-        first, last, count = bare.split(":")
-        first, last, count = number(first), number(last), int(count)
+        start, end, size = bare.split(":")
+        first, last, n = number(start), number(end), int(size)
     except ValueError:
         example = "0:360deg:72" if AXES[name].unit == "rad" else "-0.4:0.4:201"
         expected = f"a value, FIRST:LAST:COUNT or A,B,C; for example {name}={example}"
         raise InputError(f"axis {name}: {text!r:.60} (expected {expected})") from None
-    if not 2 <= count <= LONGEST:
-        raise InputError(f"axis {name}: {text!r} has {count} values (expected 2 to {LONGEST})")
+    if not 2 <= n <= LONGEST:
+        raise InputError(f"axis {name}: {text!r} has {n} values (expected 2 to {LONGEST})")
     if name in ("heading", "downhill") and abs(abs(last - first) - 2 * math.pi) < FULL_CIRCLE:
-        return first + math.copysign(2 * math.pi, last - first) * np.arange(count) / count   # its end is its beginning
-    return np.linspace(first, last, count)
+        return first + math.copysign(2 * math.pi, last - first) * np.arange(n) / n   # its end is its beginning
+    return np.linspace(first, last, n)
 
 

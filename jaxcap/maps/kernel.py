@@ -9,7 +9,6 @@ import hashlib
 import math
 import os
 import shutil
-import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -21,10 +20,10 @@ from jaxcap.contacts.cone import CentroidalCone, ConeRays, centroidal_cone
 from jaxcap.contacts.conventions import GRAVITY
 from jaxcap.errors import InputError, needs_extra
 from jaxcap.files.fields import FIELDS, output_types
-from jaxcap.files.whole_file import whole_file
+from jaxcap.files.whole_file import check_output, whole_file
 from jaxcap.maps.blocks import Answers, regions
 from jaxcap.maps.contact_axes import Contacts, contact_sets, given_sets, with_sets
-from jaxcap.maps.grid import CARTESIAN, Grid, grid
+from jaxcap.maps.grid import CARTESIAN, Grid, grid_of
 from jaxcap.one_state.decision import LIMITS
 from jaxcap.version import __version__
 
@@ -116,12 +115,12 @@ def write_map(
     answers, about = _prepared(cone, asked, gravity, sides, progress)
     with growing_map(path, about.coordinates, about.variables, about.settings, force=force) as store:
         todo = [number for number in range(len(answers.regions)) if number not in store.done]
-        count = sum(answers.states(answers.regions.region(number)) for number in todo)
-        with _bar("states", asked.grid.size, asked.grid.size - count, progress) as bar:
+        computed = sum(answers.states(answers.regions.region(number)) for number in todo)
+        with _bar("states", asked.grid.size, asked.grid.size - computed, progress) as bar:
             for region, values in answers.over(todo):
                 store.write(region.number, {name: answers.place(region, name) for name in values}, values)
                 bar.update(answers.states(region))
-    return count
+    return computed
 
 
 class _Asked(NamedTuple):
@@ -149,7 +148,7 @@ class _About(NamedTuple):
 
 
 def _checked(cone, axes, quantities, dtype) -> _Asked:
-    points = grid(with_sets(cone, axes))
+    points = grid_of(with_sets(cone, axes))
     if quantities is None:
         quantities = ("capturable", "margin", "case") if points.has_speed else LIMITS
     quantities = (quantities,) if isinstance(quantities, str) else tuple(quantities)
@@ -247,23 +246,17 @@ def _in_memory(answers: Answers, about: _About, progress: bool) -> xr.Dataset:
 
 
 def _bar(unit: str, total: int, done: int, progress: bool) -> tqdm:
-    hidden = not (progress and sys.stderr.isatty())
+    hidden = None if progress else True   # None: where stderr is no terminal
     return tqdm(total=total, initial=done, unit=f" {unit}", unit_scale=True, disable=hidden)
 
 
 def _check_path(path: Path, force: bool) -> None:
     """Raises InputError if the map cannot be written there."""
-    if path.suffix.lower() not in EXTENSIONS:
-        raise InputError(f"{path}: unknown extension {path.suffix!r} (expected {' or '.join(EXTENSIONS)})")
-    if not path.parent.is_dir():
-        raise InputError(f"{path}: no such directory: {path.parent}")
-    if not path.exists():
-        return
-    zarr = path.suffix.lower() == ".zarr"
-    if not ((path / "zarr.json").is_file() or (path / ".zgroup").is_file() if zarr else path.is_file()):
-        raise InputError(f"{path}: exists and is not {'a Zarr group' if zarr else 'a file'}")
-    if not force:
-        raise InputError(f"{path}: exists already (--force overwrites it)")
+    if path.suffix.lower() == ".zarr":
+        is_group = lambda path: (path / "zarr.json").is_file() or (path / ".zgroup").is_file()
+        check_output(path, force=force, extensions=EXTENSIONS, is_ours=is_group, kind="Zarr group")
+    else:
+        check_output(path, force=force, extensions=EXTENSIONS)
 
 
 def _check_disk(path: Path, size: float) -> None:

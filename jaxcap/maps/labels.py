@@ -23,7 +23,7 @@ def coordinates(points: Grid, sets: Sets, attributes: Mapping[str, Any]) -> xr.D
     """The axes of a map, and its attributes, without variables. sets: their names tell the values of contact_set."""
     found = {}
     for name, values in points.axes.items():
-        about = {"units": AXES[name].unit, "long_name": AXES[name].meaning}
+        about = {"units": AXES[name].unit, "long_name": AXES[name].label, "comment": AXES[name].meaning}
         if name == "contact_set":
             values = values.astype(np.int32)
             if isinstance(next(iter(sets)), str):
@@ -35,9 +35,8 @@ def coordinates(points: Grid, sets: Sets, attributes: Mapping[str, Any]) -> xr.D
 def attributes_of(quantity: str) -> dict[str, Any]:
     """What a variable says of itself."""
     field = FIELDS[quantity]
-    if quantity not in NAMES:
-        return {"units": field.unit or "1", "long_name": field.meaning}
-    return {"units": "1", "long_name": field.meaning, **_flags(NAMES[quantity], np.int8)}
+    codes = _flags(NAMES[quantity], np.int8) if quantity in NAMES else {}
+    return {"units": field.unit or "1", "long_name": field.label, "comment": field.meaning, **codes}
 
 
 def _flags(codes: Mapping[str, int], dtype) -> dict[str, Any]:

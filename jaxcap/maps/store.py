@@ -8,7 +8,6 @@ of which the journal does not know; they are written again. The last step is to 
 import json
 import math
 import os
-import secrets
 import shutil
 import warnings
 from collections.abc import Iterator, Mapping
@@ -22,6 +21,7 @@ import zarr
 from zarr.codecs import BloscCodec
 
 from jaxcap.errors import InputError
+from jaxcap.files.whole_file import refuse_late_comer, temporary_beside, write_errors_of
 
 MAP, SETTINGS, JOURNAL = "map.zarr", "settings.json", "journal"
 
@@ -73,7 +73,7 @@ def growing_map(
     """
     partial = partial_path(path)
     settings = json.loads(json.dumps(settings))
-    try:
+    with write_errors_of(path):
         if not partial.exists():
             _begin(partial, settings)
         with _claimed(partial, settings), _journal(partial, coordinates, variables) as journal:
@@ -81,8 +81,6 @@ def growing_map(
             yield GrowingMap({name: group[name] for name in variables}, journal, recorded(path))
         _publish(partial / MAP, path, force)
         shutil.rmtree(partial)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written: {error.strerror or error}") from error
 
 
 def partial_path(path: Path) -> Path:
@@ -101,7 +99,7 @@ def recorded(path: Path) -> set[int]:
 
 def _begin(partial: Path, settings: Mapping[str, Any]) -> None:
     """Makes the directory, with the settings in it from the first moment on."""
-    temporary = partial.with_name(f".jaxcap-{secrets.token_hex(8)}.tmp")
+    temporary = temporary_beside(partial)
     try:
         temporary.mkdir()
         (temporary / SETTINGS).write_text(json.dumps(settings))
@@ -175,10 +173,9 @@ def _make(path: Path, coordinates: xr.Dataset, variables: Mapping[str, Variable]
 
 def _publish(source: Path, path: Path, force: bool) -> None:
     """Gives the map its name, in place of an old one if need be."""
-    old = path.with_name(f".jaxcap-{secrets.token_hex(8)}.tmp")
-    if path.exists():
-        if not force:
-            raise InputError(f"{path}: exists already; it was written in the meantime")
+    refuse_late_comer(path, force)
+    old = temporary_beside(path)
+    if path.exists():   # a directory, unlike a file, cannot be renamed over another
         os.rename(path, old)
     os.rename(source, path)
     shutil.rmtree(old, ignore_errors=True)

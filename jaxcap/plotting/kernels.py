@@ -9,6 +9,7 @@ from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
+from jaxcap.files.fields import CASES
 from jaxcap.one_state.result import Case, Status
 from jaxcap.plotting.style import BLUE, DARK, GREY, ORANGE, RED, axes_or_new, halo
 from jaxcap.plotting.words import DEGREES, label_of, place_of, unit_of, values_of
@@ -29,17 +30,21 @@ TO_SCALE = ("m", "m/s")
 """Where both axes are of one of these units, the picture is to scale."""
 HATCHES = {"undecided": "xx", "at rest": "\\\\"}
 """Where a field is no number, by the reason; dots for any other."""
+def _named(case: Case, colour: str) -> tuple[str, str]:
+    return f"{case.name}: {CASES[case]}", colour
+
+
 CODES = {
     "capturable": {False: ("falls, or has to step", EMPTY), True: ("capturable", BLUE)},
     "case": {
-        Case.UNDECIDED: ("undecided", "#ffffff"),
-        Case.C1: ("C1: diverges", "#f0c37c"),
-        Case.C2: ("C2: leaves the polygon", ORANGE),
-        Case.C3_1: ("C3_1: stops", BLUE),
-        Case.C3_2_1: ("C3_2_1: reaches S", "#5f9fcf"),
-        Case.C3_2_2: ("C3_2_2: falls back", "#b0653a"),
-        Case.C3_3: ("C3_3: swings", "#083050"),
-        Case.EMPTY: ("EMPTY: no S", EMPTY),
+        Case.UNDECIDED: (CASES[Case.UNDECIDED], "#ffffff"),
+        Case.C1: _named(Case.C1, "#f0c37c"),
+        Case.C2: _named(Case.C2, ORANGE),
+        Case.C3_1: _named(Case.C3_1, BLUE),
+        Case.C3_2_1: _named(Case.C3_2_1, "#5f9fcf"),
+        Case.C3_2_2: _named(Case.C3_2_2, "#b0653a"),
+        Case.C3_3: _named(Case.C3_3, "#083050"),
+        Case.EMPTY: _named(Case.EMPTY, EMPTY),
     },
     "status": {
         Status.OK: ("OK", EMPTY),
@@ -49,7 +54,7 @@ CODES = {
         Status.NONFINITE: ("NONFINITE", DARK),
     },
 }
-"""Name and colour of the values of fields that are codes. S: the static region."""
+"""Legend and colour of the values of fields that are codes."""
 
 
 def kernel_slice(
@@ -116,13 +121,13 @@ def at_selection(dataset, quantity: str, kept: tuple[str, ...], selection: dict[
         if dataset.sizes[name] < 2:
             raise ValueError(f"{name} has {dataset.sizes[name]} grid point (expected at least 2)")
     for name in axes:
-        grid = np.sort(np.asarray(dataset[name], float))
-        reach = f"from {grid[0]:g} to {grid[-1]:g}"
+        values = np.sort(np.asarray(dataset[name], float))
+        extent = f"from {values[0]:g} to {values[-1]:g}"
         if name not in (*kept, *selection):
-            raise ValueError(f"no value for the axis {name} (expected one {reach})")
-        step = np.diff(grid).max(initial=0)
-        if name in selection and not grid[0] - step <= selection[name] <= grid[-1] + step:
-            raise ValueError(f"{name} = {selection[name]:g} is not on the grid (expected {reach})")
+            raise ValueError(f"no value for the axis {name} (expected one {extent})")
+        step = np.diff(values).max(initial=0)
+        if name in selection and not values[0] - step <= selection[name] <= values[-1] + step:
+            raise ValueError(f"{name} = {selection[name]:g} is not on the grid (expected {extent})")
     return dataset.sel(selection, method="nearest")
 
 
@@ -190,14 +195,14 @@ def _continued(values: Float[np.ndarray, "n m"]) -> Float[np.ndarray, "n m"]:
     Where that would not be negative, as at a jump, the level is in the middle between the grid points.
     """
     finite = np.where(np.isfinite(values), values, 0)
-    total, count = np.zeros_like(finite), np.zeros_like(finite)
+    total, neighbours = np.zeros_like(finite), np.zeros_like(finite)
     for axis in (0, 1):
         for step in (1, -1):
             near, far = (_shifted(finite, n * step, axis) for n in (1, 2))
             beyond = np.where((far > 0) & (2 * near < far), 2 * near - far, -near)
             total += np.where(near > 0, beyond, 0)
-            count += near > 0
-    return np.where(values == 0, np.where(count > 0, total / np.maximum(count, 1), -1), values)
+            neighbours += near > 0
+    return np.where(values == 0, np.where(neighbours > 0, total / np.maximum(neighbours, 1), -1), values)
 
 
 def _shifted(values, step: int, axis: int):

@@ -92,7 +92,7 @@ def _free_axes(dataset, quantity: str, axes, selection) -> tuple[str, str]:
 def _choice(dataset, quantity: str, kept: tuple[str, ...], selection: dict[str, float]) -> dict[str, float]:
     """Values for the axes that are left over. Raises ValueError for what cannot be drawn."""
     dims = map(str, dataset[quantity].dims) if quantity in dataset.data_vars else ()
-    grids = {name: np.asarray(dataset[name], float) for name in dims if name not in (*kept, *selection)}
-    chosen = {name: float(grid[0 if name in FROM_THE_FIRST else len(grid) // 2]) for name, grid in grids.items()}
+    left_over = {name: np.asarray(dataset[name], float) for name in dims if name not in (*kept, *selection)}
+    chosen = {name: float(axis[0 if name in FROM_THE_FIRST else len(axis) // 2]) for name, axis in left_over.items()}
     at_selection(dataset, quantity, kept, {**selection, **chosen})
     return chosen

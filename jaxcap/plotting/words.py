@@ -1,39 +1,15 @@
-"""What is written beside the picture of a map: names, units, places."""
+"""What is written beside the picture of a map: names, units, places; the words are those of `FIELDS` and `AXES`."""
 
 import numpy as np
 from jaxtyping import Float
 
+from jaxcap.files.fields import FIELDS
 from jaxcap.maps.grid import AXES
 
 DEGREES = "deg"
 """Angles of a map are in radians, those of a picture in degrees."""
 WIDEST = 56
 """Longest line of a title, in letters."""
-NAMES = {
-    "com_x": "CoM position x",
-    "com_y": "CoM position y",
-    "com_z": "CoM position z",
-    "velocity_x": "CoM velocity x",
-    "velocity_y": "CoM velocity y",
-    "velocity_z": "CoM velocity z",
-    "margin": "margin",
-    "min_speed": "smallest capturable speed",
-    "max_speed": "largest capturable speed",
-    "paper_margin": "margin of the paper",
-    "distance": "distance to the stop",
-    "time": "time to the stop",
-    "residual_speed": "speed that is left",
-    "heading": "heading",
-    "pitch": "pitch",
-    "speed": "CoM speed",
-    "friction": "friction coefficient",
-    "slope": "slope",
-    "downhill": "downhill",
-    "contact_set": "contact set",
-}
-"""What stands beside an axis or a colour bar, where the map's own `long_name` is too long for that."""
-
-
 def place_of(plane) -> str:
     """Where the plane lies: the axes of the map that are not in the picture, in the order of `AXES` (a file has none)."""
     scalars = [plane.coords[name] for name in AXES if name in plane.coords and plane.coords[name].ndim == 0]
@@ -65,6 +41,7 @@ def values_of(array) -> Float[np.ndarray, "..."]:
 
 
 def label_of(array) -> str:
-    """What an axis or a field is called, with its unit."""
-    name, unit = NAMES.get(array.name, array.attrs.get("long_name", array.name)), unit_of(array)
+    """What an axis or a field is called, with its unit. Of a field that is not ours the map says it."""
+    known = FIELDS.get(array.name) or AXES.get(array.name)
+    name, unit = known.label if known else array.attrs.get("long_name", array.name), unit_of(array)
     return f"{name} [{unit}]" if unit else str(name)
