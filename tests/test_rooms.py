@@ -71,7 +71,7 @@ def test_a_room_imports_only_what_it_says(trees):
 
 
 def allowed(words: str) -> set[str]:
-    """The rooms that a docstring allows: "May import `one`, `two`", "`one` to `four`", or "every room" that stands before."""
+    """The rooms that a docstring allows: "May import `one`, `two`", "`one` to `four`", or "every room"."""
     may = words.partition("May import ")[2]
     if may.startswith("every room"):
         return set(ORDER)
@@ -101,7 +101,7 @@ def test_the_tools_see_what_they_should(tmp_path):
         "numerics/__init__.py": '"""Low."""\nfrom jaxcap.numerics.root import root\n',
         "numerics/root.py": '"""Up, lazily."""\ndef root():\n    from jaxcap.files import table\n    return table\n',
         "files/__init__.py": "",
-        "files/table.py": '"""Back, for types."""\nif TYPE_CHECKING:\n    import jaxcap.numerics.root\nclass Table:\n    pass\n',
+        "files/table.py": '"""Back, for types."""\nif TYPE_CHECKING:\n    import jaxcap.numerics.root\nclass Table: ...\n',
     }
     for name, text in files.items():
         (package / name).parent.mkdir(parents=True, exist_ok=True)
