@@ -36,7 +36,7 @@ def test_far_from_the_origin_as_near_it(form, x64, states):
         there = jaxcap.score(FORMS[form](feet(UTM)), coms + UTM, velocities)
     assert here.margin.dtype == there.margin.dtype == (np.float64 if x64 else np.float32)
     assert (here.capturable == there.capturable).all()
-    np.testing.assert_allclose(there.margin, here.margin, rtol=0, atol=1e-6 if x64 else 1e-5)
+    np.testing.assert_allclose(there.margin, here.margin, rtol=0, atol=1e-6 if x64 else 1e-4)
 
 
 @pytest.mark.parametrize("form", FORMS)
@@ -45,7 +45,7 @@ def test_one_state_far_from_the_origin(form, states):
     with jax.enable_x64(False):
         here = jaxcap.capturability(FORMS[form](feet()), coms[0], velocities[0])
         there = jaxcap.capturability(FORMS[form](feet(UTM)), coms[0] + UTM, velocities[0])
-    assert float(there.margin) == pytest.approx(float(here.margin), abs=1e-5)
+    assert float(there.margin) == pytest.approx(float(here.margin), abs=1e-4)
 
 
 def test_each_state_its_own_contacts_far_from_the_origin(states):
@@ -57,7 +57,7 @@ def test_each_state_its_own_contacts_far_from_the_origin(states):
         sets = jaxcap.ContactSet(both.points + shifts, both.frames[0], 0.5)
         there = jaxcap.score(FORMS["rays"](sets), coms + shifts[:, 0], velocities)
     assert (here.capturable == there.capturable).all()
-    np.testing.assert_allclose(there.margin, here.margin, rtol=0, atol=1e-5)
+    np.testing.assert_allclose(there.margin, here.margin, rtol=0, atol=1e-4)
 
 
 @pytest.mark.parametrize("form", FORMS)

@@ -100,7 +100,7 @@ def export_contacts(
     """
     if contacts < 1:
         raise ValueError(f"contacts = {contacts} (expected at least 1)")
-    cone = lambda *fields: cone_rays(ContactSet.tree_unflatten(None, fields), sides)
+    cone = lambda *fields: cone_rays(ContactSet.unchecked(*fields), sides)
     dtypes = _Dtypes.of(dtype, positions)
     points, frames = ((contacts, 3), dtypes.positions), ((contacts, 3, 3), dtypes.answers)
     shapes = (points, frames, ((contacts,), dtypes.answers), ((contacts,), bool))

@@ -4,6 +4,7 @@ from functools import cache
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Num
 
 from jaxcap.batch.blocks import BLOCK, RAYS_BLOCK, block_of, over_blocks, padded_cone
@@ -63,8 +64,8 @@ def _own(cone: CentroidalCone | ConeRays) -> bool:
 def _check_shapes(cone: CentroidalCone | ConeRays, coms, com_velocities) -> None:
     """Raises TypeError."""
     for name, value in (("coms", coms), ("com_velocities", com_velocities)):
-        if jnp.ndim(value) != 2 or jnp.shape(value)[1] != 3:
-            raise TypeError(f"{name} has shape {jnp.shape(value)} (expected (n, 3))")
+        if np.ndim(value) != 2 or np.shape(value)[1] != 3:
+            raise TypeError(f"{name} has shape {np.shape(value)} (expected (n, 3))")
     n = len(coms)
     if n != len(com_velocities):
         raise TypeError(f"coms has {n} rows and com_velocities {len(com_velocities)} (expected as many)")

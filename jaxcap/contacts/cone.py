@@ -105,13 +105,32 @@ def cone_rays(contacts: ContactSet, sides: int = 4) -> ConeRays:
     Raises:
         ValueError: if sides < 3.
     """
-    contacts = jax.tree.map(jnp.asarray, contacts)
-    mask = contacts.mask[..., None]
-    active = jnp.maximum(jnp.sum(mask, axis=-2), 1)
+    local, origin = centred(contacts)
+    local = jax.tree.map(jnp.asarray, local)
     # Where torques are taken about changes nothing, nor does their scale: no gradient.
-    points = jax.lax.stop_gradient(contacts.points)
-    origin = jnp.sum(jnp.where(mask, points, 0), axis=-2) / active
-    square = jnp.max(jnp.sum(jnp.where(mask, points - origin[..., None, :], 0) ** 2, axis=-1), axis=-1, initial=0)
+    points = jax.lax.stop_gradient(local.points)
+    square = jnp.max(jnp.sum(jnp.where(local.mask[..., None], points, 0) ** 2, axis=-1), axis=-1, initial=0)
     length = jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1)), 1)
-    mask = jnp.repeat(contacts.mask, sides, axis=-1)
-    return ConeRays(rays=wrench_rays(contacts, sides, origin), mask=mask, origin=origin, length=length)
+    mask = jnp.repeat(local.mask, sides, axis=-1)
+    rays = wrench_rays(local, sides, jnp.zeros_like(points[..., 0, :]))
+    return ConeRays(rays=rays, mask=mask, origin=origin, length=length)
+
+
+def centred(contacts: ContactSet) -> tuple[ContactSet, FloatArray]:
+    """The same contacts about their centroid, that of those which are not masked, and the centroid.
+
+    NumPy's arrays stay such, in double precision: far from the world's origin JAX's single precision would round contacts to
+    centimetres and more before anything is subtracted.
+
+    Args:
+        contacts: one set, or a batch of them.
+
+    Returns:
+        Contacts with the centroid at the origin, and where that was, (..., 3) [m].
+    """
+    points = contacts.points if isinstance(contacts.points, np.ndarray) else jax.lax.stop_gradient(contacts.points)
+    xp: Any = np if isinstance(points, np.ndarray) else jnp
+    mask = contacts.mask[..., None]
+    origin = xp.sum(xp.where(mask, points, 0), axis=-2) / xp.maximum(xp.sum(mask, axis=-2), 1)
+    local = contacts.points - origin[..., None, :]
+    return ContactSet.unchecked(local, contacts.frames, contacts.friction, contacts.mask), origin

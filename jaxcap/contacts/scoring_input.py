@@ -7,7 +7,6 @@ the origin, is scored in single precision as one at the origin.
 from typing import Any, TypeVar
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from jaxcap.contacts.cone import CentroidalCone, ConeRays
@@ -26,8 +25,8 @@ def check_cone(cone: Any) -> None:
 
 def check_gravity(gravity: Any) -> None:
     """Raises TypeError for another shape than that of a vector. NaN and infinity are told by the status."""
-    if jnp.shape(gravity) != (3,):
-        raise TypeError(f"gravity has shape {jnp.shape(gravity)} (expected (3,), such as (0, 0, -9.81))")
+    if np.shape(gravity) != (3,):
+        raise TypeError(f"gravity has shape {np.shape(gravity)} (expected (3,), such as (0, 0, -9.81))")
 
 
 def relative(cone: Cone, coms: Any) -> tuple[Cone, Any]:

@@ -1,7 +1,13 @@
 """Whole numbers: how many boxes hold so many things."""
 
+from typing import TypeVar
 
-def ceil_div(n: int, size: int) -> int:
+from jaxtyping import Array
+
+Count = TypeVar("Count", int, Array)
+
+
+def ceil_div(n: Count, size: int) -> Count:
     """How many boxes of this size hold n things."""
     return -(-n // size)
 

@@ -15,7 +15,7 @@ from jaxcap.contacts.cone import CentroidalCone
 from jaxcap.numerics.guarded import ratio, tolerances
 from jaxcap.one_state.boundary import Boundary
 from jaxcap.one_state.polygon import Survey
-from jaxcap.one_state.walk import Line, Next, moved, walk
+from jaxcap.one_state.walk import Affine, Next, moved, walk
 from jaxcap.one_state.wrench_line import wrench_line
 
 
@@ -129,7 +129,7 @@ def _boundary(rows: Polygon, limit: Float[Array, "*n"], enough, rising: bool, mo
     value, wall = rows.start if rows.start else (jnp.max(values, axis=0), _wall(rows))
     slope = jnp.max(jnp.where(values == value, slopes, -jnp.inf), axis=0)
     follow = lambda alpha, line, _: _follow(rows, slopes, alpha, line)
-    return walk(follow, Line(value, slope), (), value == -jnp.inf, wall, limit, rising, most, enough)[0]
+    return walk(follow, Affine(value, slope), (), value == -jnp.inf, wall, limit, rising, most, enough)[0]
 
 
 def _wall(rows: Polygon):
@@ -148,12 +148,12 @@ def _crossings(rows: Polygon, intercept, slope):
     return jnp.where(crosses, (rows.bound - rows.on_acceleration * intercept) / jnp.where(crosses, rate, 1), jnp.inf)
 
 
-def _follow(rows: Polygon, slopes, alpha, line: Line) -> Next:
+def _follow(rows: Polygon, slopes, alpha, line: Affine) -> Next:
     """The row that ends a line, and the line of that row. A pivot of the dual simplex."""
     at = jax.lax.optimization_barrier(_crossings(rows, *line))
     end = jnp.maximum(alpha, jnp.min(at, axis=0))
     slope = jnp.max(jnp.where(at <= end, slopes, -jnp.inf), axis=0)   # of several rows, the steepest
-    return Next(end, slope == jnp.inf, Line(line.intercept + (line.slope - slope) * end, slope), ())
+    return Next(end, slope == jnp.inf, Affine(line.intercept + (line.slope - slope) * end, slope), ())
 
 
 @_boundary.defjvp
@@ -175,7 +175,7 @@ def _boundary_jvp(rising, most, primals, tangents):
     at_active = lambda values: jnp.take_along_axis(values, active, axis=0)
     real = pieces.right > pieces.left
     per_row = lambda amount: jnp.where(real, ratio(amount, at_active(rows.on_acceleration)), 0)
-    lines = Line(
+    lines = Affine(
         intercept=per_row(at_active(change.bound) - pieces.intercept * at_active(change.on_acceleration)),
         slope=per_row(-at_active(change.on_alpha) - pieces.slope * at_active(change.on_acceleration)),
     )

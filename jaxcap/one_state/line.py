@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int8, Num
 
 from jaxcap.contacts.cone import CentroidalCone, ConeRays
-from jaxcap.contacts.conventions import GRAVITY
+from jaxcap.contacts.conventions import GRAVITY, ArrayLike
 from jaxcap.numerics.guarded import direction, tolerances
 from jaxcap.one_state.boundary import Boundary, End
 from jaxcap.one_state.face_polygon import polygon
@@ -67,7 +67,7 @@ def motion_of_lanes(
     cone: CentroidalCone | ConeRays,
     com: Num[Array, "3 *n"],
     com_velocity: Num[Array, "3 *n"],
-    gravity: Num[Array, "3"],
+    gravity: ArrayLike,
     survey: Survey | None = None,
     quick: bool = False,
 ) -> Motion:

@@ -17,7 +17,7 @@ from jaxcap.numerics.guarded import ratio, tolerances
 from jaxcap.numerics.simplex import FREE, UNIT, Basis, Outcome, Program
 from jaxcap.one_state.boundary import Boundary, End
 from jaxcap.one_state.polygon import Survey
-from jaxcap.one_state.walk import Line, Next, moved, walk
+from jaxcap.one_state.walk import Affine, Next, moved, walk
 from jaxcap.one_state.wrench_line import wrench_line
 
 
@@ -190,13 +190,13 @@ def _search(polygon: RayPolygon, limit, enough, rising: bool, most: int | None, 
     return boundary._replace(ending=jnp.where(lost, End.MAX_PIECES, boundary.ending).astype(jnp.int8)), marks
 
 
-def _line(polygon: RayPolygon, basis: Basis) -> Line:
+def _line(polygon: RayPolygon, basis: Basis) -> Affine:
     """The free variable over alpha."""
     normal = _normal(basis)
     along = lambda vector: jnp.sum(normal * vector, axis=0)
     slope = along(polygon.per_alpha)
     noise = tolerances(slope.dtype).zero_coefficient * jnp.max(jnp.abs(normal), axis=0) * polygon.steepest
-    return Line(along(polygon.target), jnp.where(jnp.abs(slope) > noise, slope, 0))
+    return Affine(along(polygon.target), jnp.where(jnp.abs(slope) > noise, slope, 0))
 
 
 def _wall(polygon: RayPolygon, floorless: Bool[Array, "*n"]) -> Float[Array, "*n"]:
@@ -263,7 +263,7 @@ def _boundary_jvp(rising, most, primals, tangents):
             rate = simplex.weights(basis.inverse, matrix, polygon.per_alpha)
             free = lambda values: jnp.sum(jnp.where(basis.index == FREE, values, 0), axis=0)
             out = lambda values: jnp.sum(jnp.where(leaving & (basis.index != FREE), values, 0), axis=0)
-            return Line(free(held), free(rate)), -ratio(out(held), out(rate))
+            return Affine(free(held), free(rate)), -ratio(out(held), out(rate))
 
         return jax.jvp(figures, (polygon,), (change,))[1]
 

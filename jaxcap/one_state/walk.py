@@ -15,7 +15,7 @@ from jaxcap.numerics.guarded import ratio, select
 from jaxcap.one_state.boundary import MAX_PIECES, Boundary, End, Pieces, piece_gain
 
 
-class Line(NamedTuple):
+class Affine(NamedTuple):
     """`intercept + slope * alpha`."""
 
     intercept: Float[Array, "*n"]
@@ -31,7 +31,7 @@ class Next(NamedTuple):
     """Where the line ends [m]; infinity where it goes on for ever."""
     leaves: Bool[Array, "*n"]
     """The polygon ends there."""
-    line: Line
+    line: Affine
     """The line that follows."""
     memory: Any
     """What the producer has to know about that line."""
@@ -42,7 +42,7 @@ class WalkState(NamedTuple):
 
     alpha: Float[Array, "*n"]
     """Where the current piece begins [m]."""
-    line: Line
+    line: Affine
     """The current line."""
     energy: Float[Array, "*n"]
     """Gained so far [m^2/s^2]; only kept where some is `enough`."""
@@ -58,7 +58,7 @@ class WalkState(NamedTuple):
 
 def walk(
     follow,
-    first: Line,
+    first: Affine,
     memory,
     floorless,
     wall,
@@ -140,7 +140,7 @@ def _next_piece(follow, limit, enough, rising: bool, mark, state: WalkState) -> 
     )
 
 
-def moved(found: Boundary, lines: Line, wall: Float[Array, "*n"]) -> Boundary:
+def moved(found: Boundary, lines: Affine, wall: Float[Array, "*n"]) -> Boundary:
     """The tangent of a boundary whose lines move: exact, since pieces join where they meet, so that to move a knot changes
     no integral to first order. What is not differentiable has the tangent None or zero.
 
