@@ -83,7 +83,8 @@ class Capturability(NamedTuple):
 
     def __repr__(self) -> str:
         """A line: one state's answer, or how many of many can stop, and their margins."""
-        if any(isinstance(field, jax.core.Tracer) or not isinstance(field, np.ndarray | np.generic | jax.Array) for field in self):
+        arrays = np.ndarray | np.generic | jax.Array
+        if any(isinstance(field, jax.core.Tracer) or not isinstance(field, arrays) for field in self):
             return f"Capturability({', '.join(f'{name}={field}' for name, field in zip(self._fields, self, strict=True))})"
         capturable, margin, status = (np.asarray(field) for field in (self.capturable, self.margin, self.status))
         if capturable.ndim == 0:
