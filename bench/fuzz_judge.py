@@ -37,6 +37,8 @@ NEWTON = 6
 """Steps towards the surface of a flat cone."""
 SWINGS = 4
 """Passes back and forth that are followed in C3.3."""
+NO_BRAKE = 1e-7
+"""A mean deceleration below this is none but the solver's tolerance [m/s^2]: no robot stops 10^8 sizes away."""
 SAME_PLACE = 1e-9
 """Two places closer than this are one [size]."""
 
@@ -91,7 +93,7 @@ def capturable(state: State) -> bool | None:
 def _capturable(state: State) -> bool | None:
     com, speed, direction, wrenches = state.com, state.speed, state.direction, state.wrenches
     walk = brake(com, speed, direction, wrenches)
-    if walk.stop != "C3":
+    if walk.stop != "C3" or speed**2 < 2 * NO_BRAKE * walk.alpha:
         return False
     region = static_region(com, direction, wrenches)
     if region is None:
