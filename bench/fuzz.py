@@ -253,8 +253,8 @@ def _say(words: str) -> None:
     print(words, file=sys.stderr, flush=True)
 
 
-def run(dtype: str, options: argparse.Namespace, report: Report) -> None:
-    """All sets in one precision."""
+def run(dtype: str, options: argparse.Namespace, report: Report, save) -> None:
+    """All sets in one precision; save() is called now and then."""
     scorer, start = Scorer(dtype), time.monotonic()
     waiting: dict[int, list[tuple[Sample, Claims | None]]] = defaultdict(list)
     said = start
@@ -265,6 +265,7 @@ def run(dtype: str, options: argparse.Namespace, report: Report) -> None:
             answers = scorer.rays([sample for sample, _ in samples], size)
             for (sample, faces), rays in zip(samples, answers, strict=True):
                 report.compare(sample, faces, rays)
+            save()
 
     for i in range(options.first, options.first + options.sets):
         sample = draw(options.seed, i, options.kinds[i % len(options.kinds)], options.states_per_set).rounded(dtype)
@@ -304,17 +305,21 @@ def main(arguments: list[str] | None = None) -> int:
         parser.error("--sets and --states-per-set: expected at least 1")
     _say(f"jaxcap: {Path(jaxcap.__file__).parent}, seed {options.seed}; the first sets compile")
     reports, interrupted = [], False
+
+    def save() -> None:
+        if options.json is not None:
+            failures = [failure for report in reports for failure in report.failures]
+            options.json.write_text("[\n" + ",\n".join(map(json.dumps, failures)) + "\n]\n")
+
     for dtype in options.dtype:
         reports.append(Report(dtype, options.judge, options.keep))
         try:
             with jax.enable_x64(dtype == "float64"):
-                run(dtype, options, reports[-1])
+                run(dtype, options, reports[-1], save)
         except KeyboardInterrupt:
             interrupted = True
         print(f"\n{reports[-1].table()}\n", flush=True)
-        if options.json is not None:
-            failures = [failure for report in reports for failure in report.failures]
-            options.json.write_text("[\n" + ",\n".join(map(json.dumps, failures)) + "\n]\n")
+        save()
         if interrupted:
             return 130
     return int(any(report.failed() for report in reports))
