@@ -3,7 +3,7 @@
 import sys
 import time
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import jax
 import numpy as np
@@ -112,7 +112,7 @@ def map_kernel(
     start = time.perf_counter()
     try:
         with jax.enable_x64(dtype == "float64"), compilation_cache(cache):
-            options = {"sides": sides, "dtype": dtype, "force": force, "progress": True}
+            options: dict[str, Any] = {"sides": sides, "dtype": dtype, "force": force, "progress": True}
             computed = write_map(output, stance, axes, quantity or None, **options)
     except (KeyboardInterrupt, SystemExit):
         if output.suffix.lower() == ".zarr":
@@ -130,4 +130,5 @@ def map_kernel(
 def _contacts(path: Path) -> Contacts:
     """The contact sets of a file, with their names if all have one."""
     sets, names = read_contact_sets(path)
-    return dict(zip(names, sets, strict=True)) if all(names) else sets
+    named = {name: contacts for name, contacts in zip(names, sets, strict=True) if name}
+    return named if len(named) == len(sets) else sets

@@ -120,8 +120,9 @@ def _contacts(
 class _Answered(NamedTuple):
     """A batch, answered."""
 
-    answers: tuple[Capturability | Baselines, ...]
-    """Scores, and baselines if they were asked for."""
+    scores: Capturability
+    baselines: tuple[Baselines, ...]
+    """One, if it was asked for."""
     bad: BadRows
     """Rows whose contacts cannot be used."""
     seconds: float
@@ -133,8 +134,8 @@ def _answered(scorer: Scorer, batch: StateBatch, baselines: bool, height: float 
     start = time.perf_counter()
     rows = batch.contacts, batch.coms, batch.com_velocities
     scores, bad = scorer.score(*rows)
-    answers = (scores, scorer.baselines(*rows, height)) if baselines else (scores,)
-    return _Answered(answers, bad, time.perf_counter() - start)
+    beside = (scorer.baselines(*rows, height),) if baselines else ()
+    return _Answered(scores, beside, bad, time.perf_counter() - start)
 
 
 class _Run(NamedTuple):
@@ -158,13 +159,13 @@ def _score_all(answer: Callable[[StateBatch], _Answered], source: StateFile, sin
             if width > widest:  # compiles, by scoring states that are soon done with
                 widest = width
                 compiled += answer(batch._replace(coms=np.full_like(batch.coms, np.nan))).seconds
-            answers, bad, spent = answer(batch)
+            scores, beside, bad, spent = answer(batch)
             seconds += spent
             if bad.first is not None:
                 first = first or f"first row {summary.states + bad.first}: {bad.why}"
                 unusable += int(bad.rows.sum())
-            sink.write(batch.columns, *answers)
-            summary.add(answers[0])
+            sink.write(batch.columns, scores, *beside)
+            summary.add(scores)
             coarse = coarse or rounding(batch.coms)
             bar.update(len(batch.coms))
     without = f"the contacts of {unusable} rows cannot be used, these have status nonfinite; {first}" if unusable else ""

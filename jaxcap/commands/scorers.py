@@ -24,6 +24,7 @@ from jaxcap.contacts.projection import ProjectionError
 from jaxcap.errors import InputError
 from jaxcap.files.contact_columns import CHOICE, MULTIPLE, BadRows, RowChoices, RowContacts
 from jaxcap.files.contact_files import ContactSets
+from jaxcap.numerics.whole import round_up
 from jaxcap.one_state.result import Capturability
 from jaxcap.regions.capture_point import Baselines
 
@@ -125,19 +126,19 @@ class Scorer(ABC):
         self, part: Part, coms: Float[np.ndarray, "k 3"], com_velocities: Float[np.ndarray, "k 3"]
     ) -> Capturability:
         own = isinstance(part.cone, ConeRays)
-        states = self._filled((coms, com_velocities))
         cone = self._filled(part.cone) if own else part.cone
-        out = jaxcap.score(cone, *states, gravity=self._gravity, neighbours=own and self._neighbours)
+        states, velocities = self._filled(coms), self._filled(com_velocities)
+        out = jaxcap.score(cone, states, velocities, gravity=self._gravity, neighbours=own and self._neighbours)
         return _first(len(coms), out)
 
     def _baselines(
         self, part: Part, coms: Float[np.ndarray, "k 3"], com_velocities: Float[np.ndarray, "k 3"], height: float | None
     ) -> Baselines:
-        of_contacts = part.cone, part.contacts
-        if isinstance(part.cone, ConeRays):
-            of_contacts = self._filled(of_contacts)
-        states = self._filled((coms, com_velocities))
-        return _first(len(coms), jaxcap.baselines(*of_contacts, *states, height, self._gravity))
+        cone, contacts = part.cone, part.contacts
+        if isinstance(cone, ConeRays):
+            cone, contacts = self._filled(cone), self._filled(contacts)
+        out = jaxcap.baselines(cone, contacts, self._filled(coms), self._filled(com_velocities), height, self._gravity)
+        return _first(len(coms), out)
 
     def _filled(self, tree: Any) -> Any:
         """With zeros up to a multiple of the batches' size, to repeat few shapes."""
@@ -202,7 +203,7 @@ class SharedSets(Scorer):
         super().__init__(sides, gravity, neighbours)
         self._sets = sets
         self._numbers = {name: i for i, name in enumerate(names or ()) if name is not None}
-        size = -(-max(1, *map(len, sets)) // MULTIPLE) * MULTIPLE
+        size = round_up(max(1, *map(len, sets)), MULTIPLE)
         stacked = jax.tree.map(lambda *leaves: np.stack(leaves), *(contacts.padded(size) for contacts in sets))
         self._stacked, self._rays = stacked, jax.tree.map(np.asarray, _rays(stacked, sides))
         self._cones: dict[int, CentroidalCone | None] = {}

@@ -75,10 +75,10 @@ class Summary:
         case, status = np.asarray(out.case), np.asarray(out.status)
         self.states += len(case)
         self.capturable += int(np.asarray(out.capturable).sum())
-        for code in self.cases:
-            self.cases[code] += int((case == code).sum())
-        for code in self.statuses:
-            self.statuses[code] += int((status == code).sum())
+        for ending in self.cases:
+            self.cases[ending] += int((case == ending).sum())
+        for trust in self.statuses:
+            self.statuses[trust] += int((status == trust).sum())
         self.margin.add(np.asarray(out.margin))
 
     def table(self) -> str:

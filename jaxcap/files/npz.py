@@ -4,10 +4,10 @@ import math
 import tempfile
 import zipfile
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Generator, Iterator, Mapping
 from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple
+from typing import IO, Any, BinaryIO, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -56,7 +56,7 @@ class Member(NamedTuple):
 class NpzStates(StateFile):
     """An open NPZ file of states."""
 
-    def _opened(self):
+    def _opened(self) -> zipfile.ZipFile:
         with _readable(self.path):
             return zipfile.ZipFile(self.path)
 
@@ -115,8 +115,8 @@ class NpzStates(StateFile):
             streams = [stack.enter_context(closing(self._stream(m))) for m in self._members.values()]
             for pieces in zip(*streams, strict=True):
                 columns = dict(zip(self._members, pieces, strict=True))
-                vectors = (self._vector(columns, names) for names in self._vectors.values())
-                yield StateBatch(*vectors, columns, self._row_contacts(columns))
+                com, com_velocity = (self._vector(columns, names) for names in self._vectors.values())
+                yield StateBatch(com, com_velocity, columns, self._row_contacts(columns))
 
     def _row_contacts(self, columns: Mapping[str, np.ndarray]) -> RowContacts | RowChoices | None:
         if not self.contacts:
@@ -125,14 +125,14 @@ class NpzStates(StateFile):
         if self.contacts == (CHOICE,):
             return chosen(columns[CHOICE])
         empty = {name: np.empty((n, *member.row), member.dtype) for name, member in self._empty.items()}
-        return from_arrays({name: (columns | empty)[name] for name in self.contacts}, self.dtype)
+        return from_arrays({name: columns[name] if name in columns else empty[name] for name in self.contacts}, self.dtype)
 
     def _vector(self, columns: Mapping[str, np.ndarray], names: tuple[str, ...]) -> Float[np.ndarray, "n 3"]:
         with np.errstate(over="ignore"):  # too large for float32: infinite, hence status nonfinite
             parts = [columns[name].astype(self.dtype) for name in names]
         return parts[0] if len(parts) == 1 else np.stack(parts, axis=1)
 
-    def _stream(self, member: Member) -> Iterator[np.ndarray]:
+    def _stream(self, member: Member) -> Generator[np.ndarray, None, None]:
         """Rows of one array, `batch_size` at a time. An array in Fortran order is read at several places at once."""
         places = math.prod(member.row) if member.fortran else 1
         width = member.width // places
@@ -153,8 +153,14 @@ class NpzStates(StateFile):
 class NpzWriter:
     """Writes an NPZ file row by row. An NPZ holds column after column, so each column waits in an unnamed file.
 
-    handle: the file, empty. directory: place for the unnamed files. types: NumPy type, or Arrow field, of each column.
-    Raises InputError, here or in `write`, if a column does not fit into an NPZ.
+    Args:
+        handle: The file, empty.
+        directory: Place for the unnamed files.
+        types: NumPy type, or Arrow field, of each column.
+        metadata: See `columns.describe`.
+
+    Raises:
+        InputError: Here or in `write`, if a column does not fit into an NPZ.
     """
 
     def __init__(self, handle: BinaryIO, directory: Path, types: Mapping[str, Any], metadata: Mapping[str, Any]):
@@ -196,20 +202,20 @@ class NpzWriter:
 class Spool:
     """One column on its way into the archive: raw rows in a file, and how wide they are."""
 
-    def __init__(self, file: BinaryIO, kind: np.dtype):
+    def __init__(self, file: IO[bytes], kind: np.dtype):
         self.file = file
         self._dtype, self._row = kind.base, kind.shape
         self._runs: list[tuple[int, np.dtype]] = []  # rows, dtype: strings may get longer from batch to batch
 
     def append(self, rows: np.ndarray) -> None:
         """Adds rows at the end."""
-        self.file.write(np.ascontiguousarray(rows).reshape(-1).view(np.uint8))
+        self.file.write(np.ascontiguousarray(rows).reshape(-1).view(np.uint8).data)
         if self._runs and self._runs[-1][1] == rows.dtype:
             self._runs[-1] = (self._runs[-1][0] + len(rows), rows.dtype)
         else:
             self._runs.append((len(rows), rows.dtype))
 
-    def copy_to(self, target: BinaryIO) -> None:
+    def copy_to(self, target: IO[bytes]) -> None:
         """Writes the column in NPY format, in the widest dtype that occurred."""
         dtype = np.result_type(*(run for _, run in self._runs)) if self._runs else self._dtype
         rows = sum(n for n, _ in self._runs)
@@ -240,7 +246,7 @@ def _header(archive: zipfile.ZipFile, name: str) -> Member:
     return member
 
 
-def _read(file: BinaryIO, size: int) -> bytes:
+def _read(file: IO[bytes], size: int) -> bytes:
     data = file.read(size)
     if len(data) < size:
         raise EOFError("it ends too early")
@@ -259,7 +265,7 @@ def _readable(path: Path) -> Iterator[None]:
         raise InputError(f"{path}: cannot be read as NPZ: {reason}") from error
 
 
-def _member(archive: zipfile.ZipFile, name: str) -> BinaryIO:
+def _member(archive: zipfile.ZipFile, name: str) -> IO[bytes]:
     return archive.open(zipfile.ZipInfo(f"{name}.npy"), "w", force_zip64=True)
 
 

@@ -28,9 +28,7 @@ ROW_GROUP = 1 << 16
 class ParquetStates(StateFile):
     """An open Parquet file of states."""
 
-    skipped = ()  # every column of a Parquet file has one value for each row
-
-    def _opened(self):
+    def _opened(self) -> pq.ParquetFile:
         with _readable(self.path):
             # without pre_buffer=False the bytes of every row group are kept until the end
             return pq.ParquetFile(
@@ -69,8 +67,8 @@ class ParquetStates(StateFile):
         with _readable(self.path):
             for table in regrouped(self._file.iter_batches(self.batch_size), self.batch_size):
                 columns = {name: _whole(table.column(name)) for name in self.types}
-                vectors = (self._vector(columns, names, row) for names in self._vectors.values())
-                yield StateBatch(*vectors, columns, self._row_contacts(columns))
+                com, com_velocity = (self._vector(columns, names, row) for names in self._vectors.values())
+                yield StateBatch(com, com_velocity, columns, self._row_contacts(columns))
                 row += table.num_rows
 
     def _vector(self, columns: Mapping[str, pa.Array], names: tuple[str, ...], row: int) -> Float[np.ndarray, "n 3"]:
@@ -89,8 +87,13 @@ class ParquetStates(StateFile):
 class ParquetWriter:
     """Writes a Parquet file row by row.
 
-    handle: the file, empty. types: NumPy type, or Arrow field, of each column. Raises InputError if a column does not
-    fit into a Parquet file.
+    Args:
+        handle: The file, empty.
+        types: NumPy type, or Arrow field, of each column.
+        metadata: See `columns.describe`.
+
+    Raises:
+        InputError: If a column does not fit into a Parquet file.
     """
 
     def __init__(self, handle: BinaryIO, types: Mapping[str, Any], metadata: Mapping[str, Any]):

@@ -6,9 +6,10 @@ from contextlib import contextmanager
 from functools import reduce
 from operator import or_
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
+from numpy.typing import DTypeLike
 
 from jaxcap.errors import InputError, needs_extra
 from jaxcap.files.fields import FIELDS, output_columns, output_types
@@ -21,27 +22,30 @@ if TYPE_CHECKING:
     from jaxcap.files.parquet import ParquetStates, ParquetWriter
 
 
-def read_states(path: str | Path, batch_size: int, dtype=np.float32) -> "ParquetStates | NpzStates":
+def read_states(path: str | Path, batch_size: int, dtype: DTypeLike = np.float32) -> "ParquetStates | NpzStates":
     """Opens a file of states, and checks what can be checked without reading its rows.
 
-    path: Parquet (.parquet) or NPZ (.npz) with the columns `com` [m] and `com_velocity` [m/s]: three floats or integers
-    a row (Parquet: fixed-size lists, or lists that all have three entries; NPZ: arrays (n, 3)), or com_x, com_y, com_z
-    and com_velocity_x, ... Nulls are read as NaN. batch_size: rows at a time, > 0. dtype: float32 or float64, of the
-    vectors and contacts.
+    The file has the columns `com` [m] and `com_velocity` [m/s]: three floats or integers a row (Parquet: fixed-size lists,
+    or lists that all have three entries; NPZ: arrays (n, 3)), or com_x, com_y, com_z and com_velocity_x, ... Nulls are
+    read as NaN. NPZ files are never unpickled.
 
     The file may also say what the contacts of each row are: columns contact_points (k x 3) [m], contact_frames (k x 3 x 3),
     contact_friction (k, or one number) and perhaps contact_mask (k booleans), as lists that may differ in length from row
     to row, nested or flat, or as arrays (n, k, ...); or a column contact_set of integers or names. See `contact_columns`.
 
-    Returns an open file, to be used in a `with` block: `rows` is the number of states, `types` the columns that are
-    carried through, `skipped` the NPZ arrays that are not, because they do not hold one value for each state, `contacts`
-    the names of the columns of contacts. Iterating yields a `StateBatch` for each `batch_size` rows; memory does not grow
-    with the file. NPZ files are never unpickled.
+    Args:
+        path: Parquet (.parquet) or NPZ (.npz).
+        batch_size: Rows at a time, > 0.
+        dtype: float32 or float64, of the vectors and contacts.
 
-    Raises InputError, when opening or while iterating, naming file and column: a file that is missing, damaged or of
-    another kind; a column that is missing, spelt twice, of the wrong shape or dtype, or named like an output column.
-    Contacts of a row that cannot be used are no error: `StateBatch.contacts` names these rows. Raises
-    MissingExtra for Parquet without pyarrow.
+    Returns:
+        An open file, to be used in a `with` block: see `StateFile`. Memory does not grow with the file.
+
+    Raises:
+        InputError: When opening or while iterating, naming file and column: a file that is missing, damaged or of another
+            kind; a column that is missing, spelt twice, of the wrong shape or dtype, or named like an output column.
+            Contacts of a row that cannot be used are no error: `StateBatch.contacts` names these rows.
+        MissingExtra: For Parquet without pyarrow.
     """
     path = Path(path)
     extension = extension_of(path)
@@ -70,28 +74,31 @@ class ScoreWriter:
 
 @contextmanager
 def write_scores(
-    path: str | Path, types: Mapping[str, Any], metadata: Mapping[str, Any], dtype=np.float32, *,
+    path: str | Path, types: Mapping[str, Any], metadata: Mapping[str, Any], dtype: DTypeLike = np.float32, *,
     fields: Iterable[str] = tuple(FIELDS), force: bool = False,
 ) -> Iterator[ScoreWriter]:
     """Writes a Parquet or NPZ file of scores, in a `with` block. The file appears when the block ends without an error.
 
-    types: the columns carried through, as `read_states` gives them. metadata: see `columns.describe`; stored as JSON
-    under the key `jaxcap` of the Parquet schema, or as the NPZ array `metadata`. dtype: of the figures. fields: the
-    columns that are added. force: replace a file that is there. Memory does not grow with the number of rows.
+    Memory does not grow with the number of rows. A process that is killed may leave a file `.jaxcap-*.tmp` beside `path`.
 
-    Raises InputError if the file cannot be written, also for a full disk, or cannot hold a column. Then, and for any
-    other exception, `path` is left as it was. A process that is killed may leave a file `.jaxcap-*.tmp` beside it.
+    Args:
+        path: Parquet (.parquet) or NPZ (.npz).
+        types: The columns carried through, as `read_states` gives them.
+        metadata: See `columns.describe`; stored as JSON under the key `jaxcap` of the Parquet schema, or as the NPZ array
+            `metadata`.
+        dtype: Of the figures.
+        fields: The columns that are added.
+        force: Replace a file that is there.
+
+    Raises:
+        InputError: If the file cannot be written, also for a full disk, or cannot hold a column. Then, and for any other
+            exception, `path` is left as it was.
     """
     path = Path(path)
     extension = extension_of(path)
     types = {**types, **output_types(np.dtype(dtype), fields)}
     with whole_file(path, force=force) as handle:
-        if extension == ".npz":
-            writer = NpzWriter(handle, Path(os.path.realpath(path)).parent, types, metadata)
-        else:
-            with needs_extra("data", "writing Parquet"):
-                from jaxcap.files.parquet import ParquetWriter
-            writer = ParquetWriter(handle, types, metadata)
+        writer = _writer(extension, handle, Path(os.path.realpath(path)).parent, types, metadata)
         try:
             yield ScoreWriter(writer, np.dtype(dtype))
             writer.finish()
@@ -99,3 +106,11 @@ def write_scores(
             writer.discard()
 
 
+def _writer(
+    extension: str, handle: BinaryIO, directory: Path, types: Mapping[str, Any], metadata: Mapping[str, Any]
+) -> "ParquetWriter | NpzWriter":
+    if extension == ".npz":
+        return NpzWriter(handle, directory, types, metadata)
+    with needs_extra("data", "writing Parquet"):
+        from jaxcap.files.parquet import ParquetWriter
+    return ParquetWriter(handle, types, metadata)

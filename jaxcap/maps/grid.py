@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
+from numpy.typing import DTypeLike
 
 from jaxcap.contacts.contact_set import ContactSet
 from jaxcap.contacts.conventions import FloatArray
@@ -96,16 +97,26 @@ class Grid:
         """Whether the points are states; otherwise they are lines of travel."""
         return not self.polar or "speed" in self.axes
 
-    def tables(self, dtype) -> dict[str, Float[np.ndarray, "..."]]:
+    def tables(self, dtype: DTypeLike) -> dict[str, Float[np.ndarray, "..."]]:
         """What states are looked up in: values, (n,), and for angles cosine and sine, (2, n)."""
         table = lambda name: _table(name, np.atleast_1d(self.axes[name])).astype(dtype)
         with np.errstate(over="ignore"):   # beyond the largest number there is infinity, and the states are marked
             return {name: table(name) for name in self.axes if name not in CONTACTS}
 
-    def states(self, index: Int[np.ndarray, " n"], dtype=np.float64):
-        """CoM positions (n, 3) [m] and velocities (n, 3) [m/s] of these points, counted in the order of `dims`, the last
-        one fastest: what the map's answers are the answers to. Along axes of `CONTACTS` the states are the same. Raises
-        IndexError for a point that is not there.
+    def states(
+        self, index: Int[np.ndarray, " n"], dtype: DTypeLike = np.float64
+    ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
+        """The states that the map's answers are the answers to. Along axes of `CONTACTS` they are the same.
+
+        Args:
+            index: (n,) points, counted in the order of `dims`, the last one fastest.
+            dtype: Of the states.
+
+        Returns:
+            CoM positions (n, 3) [m] and velocities (n, 3) [m/s].
+
+        Raises:
+            IndexError: For a point that is not there.
         """
         index = np.asarray(index)
         if len(index) and not 0 <= index.min() <= index.max() < self.size:
@@ -116,11 +127,18 @@ class Grid:
         com, along = look_up(tables, {name: places.get(name, nowhere) for name in tables})
         if self.polar:
             along = along * tables["speed"][places.get("speed", nowhere)]
-        return com.T, along.T
+        return np.asarray(com.T), np.asarray(along.T)
 
 
 def grid_of(axes: Mapping[str, Any]) -> Grid:
-    """The grid with these axes; see `maps.kernel_map`, which says what they may be. Raises InputError."""
+    """The grid with these axes.
+
+    Args:
+        axes: See `jaxcap.maps.kernel_map`, which says what they may be.
+
+    Raises:
+        InputError: Naming the axis that cannot be used.
+    """
     unknown = next((name for name in axes if name not in AXES), None)
     if unknown is not None:
         raise InputError(f"axis {unknown!r} is not known (expected {', '.join(AXES)})")
@@ -146,6 +164,13 @@ def axes_around(contacts: ContactSet | Iterable[ContactSet], axes: Mapping[str, 
 
     com_x, com_y: 41 values from 0.1 m before the first contact to 0.1 m beyond the last. com_z: 0.8 m above the lowest
     contact. heading: 72 values all around, unless the velocity is given by its components.
+
+    Args:
+        contacts: One set, or several.
+        axes: Those that are given.
+
+    Raises:
+        InputError: If there is no contact to be around.
     """
     sets = [contacts] if isinstance(contacts, ContactSet) else contacts
     points = np.concatenate([np.asarray(one.points)[np.asarray(one.mask)] for one in sets])
@@ -159,7 +184,9 @@ def axes_around(contacts: ContactSet | Iterable[ContactSet], axes: Mapping[str, 
     return {**{name: value for name, value in choice.items() if name not in axes}, **axes}
 
 
-def look_up(tables: Mapping[str, FloatArray], places: Mapping[str, Int[FloatArray, " n"]]):
+def look_up(
+    tables: Mapping[str, FloatArray], places: Mapping[str, Int[FloatArray, " n"]]
+) -> tuple[Float[FloatArray, "3 n"], Float[FloatArray, "3 n"]]:
     """CoM (3, n) [m], and velocity [m/s] or, of polar axes, direction (3, n), at these places of the tables."""
     xp = np if isinstance(next(iter(places.values())), np.ndarray) else jnp
     at = lambda name: tables[name][..., places[name]]

@@ -65,11 +65,16 @@ def growing_map(
 ) -> Iterator[GrowingMap]:
     """The map at `path`, in a `with` block; it takes its name when the block ends without an error.
 
-    coordinates: axes and attributes. settings: what the map depends on, for JSON. If there is a partial map with the same
-    settings, it is continued. force: replace a map that is there, at the end.
+    Args:
+        path: Where the map goes.
+        coordinates: Its axes and attributes.
+        variables: Its quantities by name.
+        settings: What the map depends on, for JSON. If there is a partial map with the same settings, it is continued.
+        force: Replace a map that is there, at the end.
 
-    Raises InputError for a partial map with other settings, one that another process is writing, and for an error of the
-    file system, a full disk for one. Then, and for any other exception, the partial map can be continued.
+    Raises:
+        InputError: For a partial map with other settings, one that another process is writing, and for an error of the
+            file system, a full disk for one. Then, and for any other exception, the partial map can be continued.
     """
     partial = partial_path(path)
     settings = json.loads(json.dumps(settings))
@@ -77,8 +82,8 @@ def growing_map(
         if not partial.exists():
             _begin(partial, settings)
         with _claimed(partial, settings), _journal(partial, coordinates, variables) as journal:
-            group = zarr.open_group(partial / MAP, mode="r+")
-            yield GrowingMap({name: group[name] for name in variables}, journal, recorded(path))
+            arrays = dict(zarr.open_group(partial / MAP, mode="r+").arrays())
+            yield GrowingMap({name: arrays[name] for name in variables}, journal, recorded(path))
         _publish(partial / MAP, path, force)
         shutil.rmtree(partial)
 

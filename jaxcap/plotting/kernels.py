@@ -1,9 +1,10 @@
 """Slices of a map, as filled contours with the zero level drawn; where there is no number, the picture says so."""
 
-from typing import Any
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Shaped
 from matplotlib.axes import Axes
 from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.patches import Patch
@@ -14,6 +15,11 @@ from jaxcap.one_state.result import Case, Status
 from jaxcap.plotting.style import BLUE, DARK, GREY, ORANGE, RED, axes_or_new, halo
 from jaxcap.plotting.words import DEGREES, label_of, place_of, unit_of, values_of
 
+if TYPE_CHECKING:
+    import xarray as xr
+
+Beyond = Literal["neither", "min", "max", "both"]
+"""On which side of its levels a field goes on."""
 LEVELS = 12
 """Contours, more or less."""
 OUTLIERS = 0.98
@@ -34,7 +40,7 @@ def _named(case: Case, colour: str) -> tuple[str, str]:
     return f"{case.name}: {CASES[case]}", colour
 
 
-CODES = {
+CODES: dict[str, dict[Any, tuple[str, str]]] = {
     "capturable": {False: ("falls, or has to step", EMPTY), True: ("capturable", BLUE)},
     "case": {
         Case.UNDECIDED: (CASES[Case.UNDECIDED], "#ffffff"),
@@ -58,29 +64,39 @@ CODES = {
 
 
 def kernel_slice(
-    dataset,
+    dataset: "xr.Dataset",
     quantity: str = "max_speed",
     *,
     x: str = "com_x",
     y: str = "com_y",
-    levels: Any = None,
+    levels: int | Sequence[float] | None = None,
     bar: bool = True,
     ax: Axes | None = None,
     **selection: float,
 ) -> Axes:
     """A plane of a map: a field of `Capturability` over two of its axes.
 
-    dataset: an xarray.Dataset from `jaxcap.maps`, or one like it: the coordinates and `quantity` with attributes `units` and
-    `long_name`. x, y: names of the axes of the picture. selection: a value for each other axis of the map, of which the
-    nearest grid point is taken. levels: of the contours, in the field's unit, or about how many. bar: draw the colour bar.
-
     The zero level is a thick line, and contours below it are dashed. A field that is nowhere negative is grey where it is
     zero, as far as the cell beside, where the others, continued in a straight line, would vanish. Infinite figures are
     hatched, and so is, in another way, whatever is no number; the legend says why. `capturable`, `case` and `status` are
     areas of colour. Angles are in degrees, in `selection` in radians.
 
-    Returns the axes. Raises ValueError, naming the axis or field, for what the dataset does not hold, an axis that is left
-    over, or a value outside of the grid.
+    Args:
+        dataset: From `jaxcap.maps`, or one like it: the coordinates and `quantity` with attributes `units` and `long_name`.
+        quantity: Field to draw.
+        x: Axis of the map that goes to the right.
+        y: Axis of the map that goes up.
+        levels: Of the contours, in the field's unit, or about how many.
+        bar: Draw the colour bar.
+        ax: Axes to draw into; by default those of a new figure.
+        **selection: A value for each other axis of the map, of which the nearest grid point is taken.
+
+    Returns:
+        The axes.
+
+    Raises:
+        ValueError: Naming the axis or field, for what the dataset does not hold, an axis that is left over, or a value
+            outside of the grid.
     """
     plane = at_selection(dataset, quantity, (x, y), selection)
     ax = axes_or_new(ax, (7.0, 5.0))
@@ -101,7 +117,9 @@ def kernel_slice(
     return ax
 
 
-def at_selection(dataset, quantity: str, kept: tuple[str, ...], selection: dict[str, float]):
+def at_selection(
+    dataset: "xr.Dataset", quantity: str, kept: tuple[str, ...], selection: dict[str, float]
+) -> "xr.Dataset":
     """The part of a map with these axes only: the others at the grid points nearest to their values.
 
     Raises ValueError, naming the axis or field, for what the dataset does not hold, an axis that is left over, or a value
@@ -131,7 +149,7 @@ def at_selection(dataset, quantity: str, kept: tuple[str, ...], selection: dict[
     return dataset.sel(selection, method="nearest")
 
 
-def _gaps(plane, quantity: str, x: str, y: str) -> dict[str, Bool[np.ndarray, "n m"]]:
+def _gaps(plane: "xr.Dataset", quantity: str, x: str, y: str) -> dict[str, Bool[np.ndarray, "n m"]]:
     """Where the field is no number, and why."""
     missing = np.isnan(np.asarray(plane[quantity].transpose(y, x), float))
     why = "no stop" if quantity in ("distance", "time") else "no value"
@@ -146,10 +164,22 @@ def _gaps(plane, quantity: str, x: str, y: str) -> dict[str, Bool[np.ndarray, "n
     return {"undecided": undecided, "at rest": still, why: missing & ~undecided & ~still}
 
 
-def _draw_figures(ax, across, along, values: Float[np.ndarray, "n m"], gaps, label: str, levels, bar: bool) -> None:
+def _draw_figures(
+    ax: Axes,
+    across: Float[np.ndarray, " m"],
+    along: Float[np.ndarray, " n"],
+    values: Float[np.ndarray, "n m"],
+    gaps: dict[str, Bool[np.ndarray, "n m"]],
+    label: str,
+    levels: int | Sequence[float] | None,
+    bar: bool,
+) -> None:
+    """Contours of the figures, hatches where they are infinite or none."""
     finite = values[np.isfinite(values)]
     endless = np.isposinf(values)
-    signs = {"at any speed": (endless, {"facecolor": "#fff7dc", "edgecolor": ORANGE, "hatch": "//"})}
+    signs: dict[str, tuple[Any, dict[str, Any]]] = {
+        "at any speed": (endless, {"facecolor": "#fff7dc", "edgecolor": ORANGE, "hatch": "//"})
+    }
     style_of = lambda why: {"facecolor": "white", "edgecolor": GREY, "hatch": HATCHES.get(why, "..")}
     signs |= {why: (where, style_of(why)) for why, where in gaps.items()}
     handles = []
@@ -162,12 +192,12 @@ def _draw_figures(ax, across, along, values: Float[np.ndarray, "n m"], gaps, lab
         area.set(edgecolor=style["edgecolor"], linewidth=0)
         handles.append(Patch(label=why, linewidth=0, **style))
     if len(finite):
-        levels, extend = _levels(finite, levels)
+        edges, extend = _levels(finite, levels)
         shown = np.ma.masked_invalid(values)
-        filled = ax.contourf(across, along, shown, levels, cmap="cividis", extend=extend, zorder=2)
+        filled = ax.contourf(across, along, shown, edges, cmap="cividis", extend=extend, zorder=2)
         if bar:
             ax.figure.colorbar(filled, cax=ax.inset_axes(BESIDE), label=label)
-        thin = levels[levels != 0]
+        thin = edges[edges != 0]
         ax.contour(across, along, shown, thin, colors="white", linewidths=0.5, negative_linestyles="dashed", zorder=3)
         if (finite <= 0).any() and (values > 0).any():
             handles += _draw_zero(ax, across, along, values)
@@ -175,7 +205,9 @@ def _draw_figures(ax, across, along, values: Float[np.ndarray, "n m"], gaps, lab
         ax.legend(handles=handles, loc="upper right", framealpha=0.9).set_zorder(8)
 
 
-def _draw_zero(ax, across, along, values) -> list[Patch]:
+def _draw_zero(
+    ax: Axes, across: Float[np.ndarray, " m"], along: Float[np.ndarray, " n"], values: Float[np.ndarray, "n m"]
+) -> list[Patch]:
     """The zero level. Of a field that is nowhere negative, the area where it is zero, with what the legend says of it."""
     never_negative = np.nanmin(values) == 0
     signed = _continued(values) if never_negative else values
@@ -184,7 +216,7 @@ def _draw_zero(ax, across, along, values) -> list[Patch]:
         ax.contourf(across, along, signed, [-np.inf, 0], colors=[EMPTY], zorder=3)
     handles = [Patch(facecolor=EMPTY, label="zero")] if never_negative else []
     zero = ax.contour(across, along, signed, [0], colors="black", linewidths=2.2, zorder=4)
-    zero.set_path_effects(halo(4))
+    zero.set_path_effects([*halo(4)])
     return handles
 
 
@@ -205,7 +237,7 @@ def _continued(values: Float[np.ndarray, "n m"]) -> Float[np.ndarray, "n m"]:
     return np.where(values == 0, np.where(neighbours > 0, total / np.maximum(neighbours, 1), -1), values)
 
 
-def _shifted(values, step: int, axis: int):
+def _shifted(values: Float[np.ndarray, "n m"], step: int, axis: int) -> Float[np.ndarray, "n m"]:
     """The values `step` grid points further on, zero beyond the edge."""
     out = np.roll(values, -step, axis)
     edge = [slice(None)] * 2
@@ -214,29 +246,34 @@ def _shifted(values, step: int, axis: int):
     return out
 
 
-def _levels(finite, levels) -> tuple[Float[np.ndarray, "k"], str]:
+def _levels(
+    finite: Float[np.ndarray, " k"], levels: int | Sequence[float] | None
+) -> tuple[Float[np.ndarray, " l"], Beyond]:
     """Levels of the contours that surround the figures, and on which side figures lie beyond."""
-    if levels is not None and np.ndim(levels) == 1:
-        levels = np.asarray(levels, float)
+    if levels is not None and not isinstance(levels, int):
+        edges = np.asarray(levels, float)
     else:
         low, high = finite.min(), finite.max()
         most, least = np.quantile(finite, [OUTLIERS, 1 - OUTLIERS])
         high = most if high > FAR * most > 0 else high
         low = least if low < FAR * least < 0 else low
         low, high = (low, high) if low < high else (low - 0.5, high + 0.5)
-        levels = MaxNLocator(levels or LEVELS).tick_values(low, high)
-    sides = (finite.min() < levels[0], finite.max() > levels[-1])
-    return levels, {(False, False): "neither", (True, False): "min", (False, True): "max", (True, True): "both"}[sides]
+        edges = np.asarray(MaxNLocator(levels or LEVELS).tick_values(low, high))
+    below, above = bool(finite.min() < edges[0]), bool(finite.max() > edges[-1])
+    return edges, "both" if below and above else "min" if below else "max" if above else "neither"
 
 
-def _draw_codes(ax, across, along, values, quantity: str) -> None:
+def _draw_codes(
+    ax: Axes, across: Float[np.ndarray, " m"], along: Float[np.ndarray, " n"], values: Shaped[np.ndarray, "n m"],
+    quantity: str,
+) -> None:
     """Areas of one colour for each code, with a legend of those that occur."""
     codes = CODES[quantity]
     numbers = sorted(int(code) for code in codes)
     colours = [codes[code][1] for code in sorted(codes)]
     norm = BoundaryNorm(np.arange(numbers[0], numbers[-1] + 2) - 0.5, len(numbers))
-    style = {"cmap": ListedColormap(colours), "norm": norm, "shading": "nearest", "rasterized": True}
-    ax.pcolormesh(across, along, values.astype(int), **style)
+    cmap = ListedColormap(colours)
+    ax.pcolormesh(across, along, values.astype(int), cmap=cmap, norm=norm, shading="nearest", rasterized=True)
     present = [code for code in sorted(codes) if (values.astype(int) == int(code)).any()]
     handles = [Patch(facecolor=codes[code][1], edgecolor=DARK, linewidth=0.5, label=codes[code][0]) for code in present]
     ax.legend(handles=handles, loc="upper left", bbox_to_anchor=(1.01, 1), borderaxespad=0)
