@@ -31,14 +31,14 @@ def samples_of(scenario, indices, outcomes):
         *(column(lambda contact, name=name: getattr(contact, name)) for name in ("half_length", "half_width", "friction")),
     )
     outcomes = np.array(outcomes)
-    runs = Runs(outcomes, outcomes, np.zeros(len(drawn)))
+    runs = Runs(outcomes, outcomes, np.zeros(len(drawn)), np.zeros(len(drawn)))
     q, v = (np.array([getattr(sample, name) for sample in drawn]) for name in ("q", "v"))
     names = ("standard", "straight", "fast")
     states = (np.array(indices), q, v, com, com_velocity, angular)
     effort = np.ones(len(drawn))
     best = {BEST: outcomes, FOUR: outcomes}
     return Samples(
-        scenario, scenario, "talos", 2018, False, names, *states, contacts, effort, best, dict.fromkeys(names, runs), 0
+        scenario, scenario, "talos", 2018, False, 0.2, names, *states, contacts, effort, best, dict.fromkeys(names, runs), 0
     )
 
 

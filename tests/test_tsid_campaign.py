@@ -103,7 +103,7 @@ def test_the_best_of_several_runs_no_more_than_it_must(whole):
 def test_brake_changes_only_the_best_of_four():
     settings = campaign.settings_of(campaign._parse(["four", "--samples", "1", "-o", "x.parquet", *FAKE]))
     for brake in ("stopped", "undecided", "fallen"):
-        row = labels.judge(settings, lambda name: {f"{name}_outcome": brake if name == "brake" else "fallen"})
+        row = labels.judge(settings, lambda name, brake=brake: {f"{name}_outcome": brake if name == "brake" else "fallen"})
         assert (row["outcome"], row["best_of_four"]) == ("fallen", brake)
     row = labels.judge(settings, lambda name: {f"{name}_outcome": "stopped"})
     assert row == {"standard_outcome": "stopped", "outcome": "stopped", "best_of_four": "stopped"}

@@ -188,5 +188,5 @@ def test_without_angular_momentum(robot, samples):
 
 
 def test_an_unknown_scenario_is_named(robot):
-    with pytest.raises(ValueError, match="scenario = 'one' \\(expected one of: two_coplanar, two, three, four, four_strong\\)"):
+    with pytest.raises(ValueError, match=r"scenario = 'one' \(expected one of: .*, four, four_strong\)"):
         draw(robot, "one", 0, 0)

@@ -163,7 +163,8 @@ def test_a_dwell_changes_nothing_before_the_first_dip(robot, samples, runs):
 def test_brake_stops_within_the_limits(robot):
     """A robot that the three let fall; the laws are those of every run."""
     sample = draw(robot, "three", 2018, RESCUED)
-    runs = [Simulator(robot, CONFIGURATIONS[name]).run(sample, trace=True) for name in ("standard", "straight", "fast", "brake")]
+    four = (Simulator(robot, CONFIGURATIONS[name]) for name in ("standard", "straight", "fast", "brake"))
+    runs = [simulator.run(sample, trace=True) for simulator in four]
     assert [run.outcome for run in runs] == [Outcome.FALLEN] * 3 + [Outcome.STOPPED]
     test_torques_and_joints_keep_their_limits(robot, runs[3:], 30.0)
     test_wrenches_are_in_their_cones([sample], runs[3:])

@@ -94,8 +94,8 @@ def test_bad_shapes_are_named(name, shape):
 def test_least_squares_and_the_linear_program_say_the_same(monkeypatch):
     """Near the edge of what a foot holds and far from it: least squares decide nearly all, and as the program does."""
     rng = np.random.default_rng(4)
-    proved, cases, flat = wrench_cone_module._proved, [], [contact(), contact(placement=pin.SE3(np.eye(3), np.array([0.0, 0.2, 0])))]
-    found = []
+    flat = [contact(), contact(placement=pin.SE3(np.eye(3), np.array([0.0, 0.2, 0.0])))]
+    proved, found, cases = wrench_cone_module._proved, [], []
     monkeypatch.setattr(wrench_cone_module, "_proved", lambda *given: found.append(proved(*given)))  # returns None
     for _ in range(60):
         cases.append(equilibrium(flat, rng.uniform([-0.12, -0.1, 0.8], [0.12, 0.3, 0.9])))

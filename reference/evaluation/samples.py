@@ -64,6 +64,8 @@ class Runs(NamedTuple):
     """`stopped`; `infeasible` or `slip`; `time` or `unsolved`."""
     times: Float[np.ndarray, " n"]
     """Of the end [s]."""
+    dips: Float[np.ndarray, " n"]
+    """How often the robot was slow for less than the dwell; without one it had stopped at the first of them."""
 
 
 class Samples(NamedTuple):
@@ -78,6 +80,8 @@ class Samples(NamedTuple):
     seed: int
     zero_momentum: bool
     """Whether pushes have no angular momentum."""
+    dwell: float
+    """How long a stop has to last [s]."""
     controllers: tuple[str, ...]
     """In the order in which they ran."""
     index: Int[np.ndarray, " n"]
@@ -96,7 +100,7 @@ class Samples(NamedTuple):
     effort: Float[np.ndarray, " n"]
     """Share of the torque limits that holding the posture takes [-]: above 1 it cannot be held."""
     outcomes: dict[str, Shaped[np.ndarray, " n"]]
-    """What a margin is held against, by name: BEST and FOUR, if not all controllers ran on every sample, and each that did."""
+    """What a margin is held against, by name: BEST and FOUR, unless every controller ran on all, and each that did so."""
     runs: dict[str, Runs]
     """By controller."""
     failed: int
@@ -124,6 +128,7 @@ def read(path: Path, first: int | None = None) -> Samples:
         robot=settings["robot"],
         seed=settings["seed"],
         zero_momentum=settings["zero_momentum"],
+        dwell=settings["options"]["dwell"],
         controllers=tuple(settings["controllers"]),
         index=table["index"].to_numpy(),
         q=vector("q"),
@@ -169,8 +174,11 @@ def _contacts(column: pa.ListArray, settings: dict[str, Any]) -> Contacts:
 
 
 def _runs(table: pa.Table, controller: str, dt: float) -> Runs:
-    steps = table[f"{controller}_steps"].cast(pa.float64()).to_numpy()
-    return Runs(_words(table[f"{controller}_outcome"]), _words(table[f"{controller}_reason"]), steps * dt)
+    number = lambda name: table[f"{controller}_{name}"].cast(pa.float64()).to_numpy()
+    words = (_words(table[f"{controller}_{name}"]) for name in ("outcome", "reason"))
+    times = dt * number("steps")
+    counted = f"{controller}_dips" in table.column_names  # what never occurred has no column
+    return Runs(*words, times, number("dips") if counted else 0.0 * times)
 
 
 def command(name: str) -> str:
@@ -179,11 +187,15 @@ def command(name: str) -> str:
     return f"python -m reference.tsid.campaign {scenario} -o {name}.parquet --jobs 2 --seed 2018 {FILES[name]}"
 
 
-def read_all(folder: Path, first: int | None = None) -> dict[str, Samples]:
-    """All files of a folder, by name: first those of FILES, in that order. Raises as `read` does."""
+def paths_of(folder: Path) -> list[Path]:
+    """All files of a folder: first those of FILES, in that order."""
     paths = {path.stem: path for path in sorted(Path(folder).glob("*.parquet"))}
-    names = [name for name in FILES if name in paths] + [name for name in paths if name not in FILES]
-    return {name: read(paths[name], first) for name in names}
+    return [paths[name] for name in FILES if name in paths] + [paths[name] for name in paths if name not in FILES]
+
+
+def read_all(folder: Path, first: int | None = None) -> dict[str, Samples]:
+    """All files of a folder, by name, in the order of `paths_of`. Raises as `read` does."""
+    return {path.stem: read(path, first) for path in paths_of(folder)}
 
 
 def among(samples: dict[str, Samples], *names: str) -> list[Samples]:

@@ -15,21 +15,23 @@ import json
 import signal
 import sys
 import time
-import tomllib
 from collections import Counter
 from collections.abc import Callable
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from tqdm import tqdm
+from reference.extras import extra
 
-from reference.tsid.journal import Busy, Journal
-from reference.tsid.labels import BEST_OF_FOUR, Row, Settings, labeller, toolbox
-from reference.tsid.robot import configuration, load
-from reference.tsid.sampling import DISTRIBUTION, SCENARIOS
-from reference.tsid.table import Unreadable, read, write
-from reference.tsid.workers import Died, answers
+with extra("sim", __name__):
+    from tqdm import tqdm
+
+    from reference.tsid.journal import Busy, Journal
+    from reference.tsid.labels import BEST_OF_FOUR, Row, Settings, labeller, toolbox
+    from reference.tsid.robot import entries_of, load
+    from reference.tsid.sampling import DISTRIBUTION, SCENARIOS
+    from reference.tsid.table import Unreadable, read, write
+    from reference.tsid.workers import Died, answers
 
 LIBRARIES = ("numpy", "scipy", "pin", "coal", "example-robot-data", "daqp", "proxsuite", "numba", "pyarrow")
 
@@ -107,7 +109,7 @@ def settings_of(options: argparse.Namespace) -> Settings:
             tools.simulator(robot, tools.configurations[name], tools.options(**values))
     except ValueError as error:
         raise Refused(str(error)) from error
-    entries = tomllib.loads(configuration(options.robot).read_text(encoding="utf-8"))
+    entries = entries_of(options.robot)
     return Settings(
         scenario=options.scenario,
         robot=robot.name,

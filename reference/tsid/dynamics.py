@@ -74,8 +74,8 @@ def contact_motion(world, rate, v, chain, joint, placement, fixed, stiffness, da
     """Jacobian (6, nv), goal (6,) and error (6,) of one contact.
 
     world, rate: (6, nv) Jacobian of all joints and its time derivative, at the world's origin. chain: (nv,) 1 for columns
-    that move the contact, else 0. joint: (4, 4), the link's joint in the world; placement: (4, 4), the contact in that joint; fixed:
-    (4, 4), where the contact should be in the world.
+    that move the contact, else 0. joint: (4, 4), the link's joint in the world; placement: (4, 4), the contact in that
+    joint; fixed: (4, 4), where the contact should be in the world.
     stiffness [1/s^2], damping [1/s]: of Baumgarte's stabilisation, goal = -stiffness error - damping velocity - rate v.
     """
     at = np.empty((3, 4))

@@ -17,8 +17,8 @@ from reference.tsid.wrench_cone import CORNERS
 def effort(robot: Robot, q: np.ndarray, contacts: Sequence[Contact]) -> float:
     """Least share t [-] such that the robot can stand still at q (nq,) with no torque above t of its limit.
 
-    Above 1 it cannot be held. Contact forces are in the pyramids of the contacts' corners. Only joints between the base and a
-    contact count: a free arm that sags is no fall, and what holds it up is nobody's choice.
+    Above 1 it cannot be held. Contact forces are in the pyramids of the contacts' corners. Only joints between the base and
+    a contact count: a free arm that sags is no fall, and what holds it up is nobody's choice.
     Raises ArithmeticError if HiGHS does not solve it: where no forces balance gravity there is no such share.
     """
     data = robot.model.createData()

@@ -6,9 +6,9 @@ Why that: rays from zero of random direction and length are too gentle (a median
 every robot stops), uniform points of the polytope too violent (1.6 m/s on two feet, so that almost every robot falls); the
 scaled points give both outcomes. Zero is always allowed, so scaling stays in the polytope.
 
-On feet and hands these are still gentle (0.15 m/s): falls are decided by the posture rather than by the push. A strong push is
-(1 - s) a + s b: a the point by hit-and-run, unscaled; b the point of the polytope with the greatest CoM speed in a random
-direction, uniform on the sphere; s from U(0, 1). That is in the polytope too, since it is convex.
+On feet and hands these are still gentle (0.15 m/s): falls are decided by the posture rather than by the push. A strong push
+is (1 - s) a + s b: a the point by hit-and-run, unscaled; b the point of the polytope with the greatest CoM speed in a random
+direction, uniform on the sphere; s from U(0, 1). That is in the polytope too, since it is convex; the median is 0.6 m/s.
 """
 
 from __future__ import annotations
@@ -82,7 +82,7 @@ def push(
 
 
 def _fastest(robot: Robot, data: pin.Data, q: np.ndarray, constraints: np.ndarray, bounds, direction: np.ndarray):
-    """The velocity (nv,) allowed by constraints (c, nv) and joint speed bounds, (n,) each, whose CoM is fastest in a direction."""
+    """The velocity (nv,) allowed by constraints (c, nv) and bounds of joint speeds, its CoM fastest in a direction (3,)."""
     speed = direction @ pin.jacobianCenterOfMass(robot.model, data, q)
     limits = np.column_stack([np.full((2, 6), [[-np.inf], [np.inf]]), np.stack(bounds)]).T
     result = linprog(-speed, A_eq=constraints, b_eq=np.zeros(len(constraints)), bounds=limits, method="highs")

@@ -40,7 +40,7 @@ class Options(NamedTuple):
     stop_speed: float = 0.01
     """Norm of v, in m/s and rad/s, below which the robot has stopped."""
     dwell: float = 0.2
-    """How long |v| has to stay below the stop speed [s]; 0 is the paper's criterion, which takes a passing dip for a stop."""
+    """How long |v| has to stay below the stop speed [s]; 0 is the paper's criterion, which takes a dip for a stop."""
     slip: float = 0.10
     """How far a contact may move [m]."""
 

@@ -42,8 +42,8 @@ def lines(path: Path) -> list[str]:
     about = [f"{path.name}: {len(rows)} samples, {len(errors)} errors, {size}, seed {settings['seed']}"]
     if not settings["every"]:
         for column, words in (("outcome", "best of three"), ("best_of_four", "best of four")):
-            outcomes = Counter(row[column] for row in rows if column in row)
-            about += [f"{words}: " + ", ".join(f"{number} {name}" for name, number in sorted(outcomes.items()))] * bool(outcomes)
+            outcomes = sorted(Counter(row[column] for row in rows if column in row).items())
+            about += [f"{words}: " + ", ".join(f"{number} {name}" for name, number in outcomes)] * bool(outcomes)
     held = [row["effort"] <= 1 for row in rows if "effort" in row]
     about.append(f"{sum(held)} of {len(held)} can be held")
     if len(versions) > 1:

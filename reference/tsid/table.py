@@ -1,10 +1,10 @@
 """Rows as a Parquet file: the same rows and settings give the same bytes, and a file appears whole or not at all.
 
 Columns: index; com [m], com_velocity [m/s], angular_momentum [kg m^2/s]; contacts (a list of rectangles: effector, position,
-quaternion x, y, z, w; what an effector's sizes are, the settings say); effort [-]; q, v (what was simulated, see `sampling`;
-null from row `settings.states` on: they follow from the seed); outcome and best_of_four (`labels.judge`); error (null but for
-a failed sample); then for each controller its outcome, reason, steps, and the solver's counters. Columns of a controller that
-did not run are null. All floats are float32.
+quaternion x, y, z, w; the settings have an effector's sizes); effort [-]; q, v (what was simulated, see `sampling`; null
+from row `settings.states` on: they follow from the seed); outcome and best_of_four (`labels.judge`); error (null but for a
+failed sample); then for each controller its outcome, reason, steps, and what was counted in its run. Columns of a controller
+that did not run are null. All floats are float32.
 """
 
 from __future__ import annotations

@@ -16,7 +16,7 @@ from reference.contacts import GRAVITY, wrench_rays
 from reference.tsid.robot import Contact
 
 NOTHING, SOMETHING = 1e-12, 1e-3
-"""Shares of the weight: what forces that carry it may leave, and what they at least leave where they are proved not to [-]."""
+"""Shares of the weight: what forces that carry it may leave, and what they leave at least where proved not to [-]."""
 
 CORNERS = np.array([(1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0)])
 """Signs of the four corners along the length and the width."""
