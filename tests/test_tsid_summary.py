@@ -3,7 +3,7 @@
 import pytest
 
 from reference.tsid import campaign, summary
-from reference.tsid.labels import labeller
+from reference.tsid.labels import BEST_OF_FOUR, labeller
 from reference.tsid.robot import load
 from reference.tsid.table import write
 
@@ -28,8 +28,9 @@ def best(tmp_path_factory):
 def test_summary_counts_every_run_once(best):
     path, rows = best
     about, *lines = summary.lines(path)
-    assert "4 samples, 1 errors" in about and "seed 3" in about
-    for controller, line in zip(campaign.BEST_OF_THREE, lines, strict=False):
+    assert "4 samples, 1 errors" in about and "seed 3" in about and "best of four: " in about
+    assert f"{sum(row['effort'] <= 1 for row in rows[:3])} of 3 can be held" in about
+    for controller, line in zip(BEST_OF_FOUR, lines, strict=False):
         name, its, ran, *cells = line.split()
         reasons = [row[f"{controller}_reason"] for row in rows if f"{controller}_reason" in row]
         assert (name, its, int(ran)) == ("two", controller, len(reasons))

@@ -136,8 +136,8 @@ def _digest(columns: dict[str, np.ndarray], options: tuple[str, ...]) -> str:
     for name, values in columns.items():
         digest.update(f"{name} {values.shape} {values.dtype}".encode() + values.tobytes())
     sources = Path(find_spec("jaxcap").origin).parent
-    for path in sorted(sources.glob("*.py")):
-        digest.update(path.name.encode() + path.read_bytes())
+    for path in sorted(sources.rglob("*.py")):
+        digest.update(str(path.relative_to(sources)).encode() + path.read_bytes())
     return digest.hexdigest()[:16]
 
 
