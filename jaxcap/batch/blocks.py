@@ -47,7 +47,8 @@ def side_by_side(run: Callable[[Any], Any], items: Iterable, ahead: int = sys.ma
 
     ahead: how many items at most are begun beyond the one whose result is waited for. Called when the program is compiled.
     """
-    x64, device = jax.config.jax_enable_x64, jax.config.jax_default_device
+    # JAX makes the settings' names at run time.
+    x64, device = jax.config.jax_enable_x64, jax.config.jax_default_device  # type: ignore[attr-defined]
 
     def in_thread(item: Any) -> Any:
         with jax.enable_x64(x64), jax.default_device(device):   # both settings belong to a thread

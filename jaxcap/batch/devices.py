@@ -17,7 +17,8 @@ def spread_over(arrays) -> tuple[jax.Device, ...]:
     for leaf in jax.tree.leaves(arrays):
         if isinstance(leaf, jax.Array) and leaf.committed:
             return tuple(sorted(leaf.devices(), key=lambda device: device.id))
-    return () if jax.config.jax_default_device is not None else tuple(jax.local_devices())
+    default = jax.config.jax_default_device  # type: ignore[attr-defined]   # JAX makes these at run time
+    return () if default is not None else tuple(jax.local_devices())
 
 
 class Spread:
@@ -29,9 +30,9 @@ class Spread:
     def __init__(self, one, devices: tuple[jax.Device, ...]):
         mesh = Mesh(np.array(devices), (AXIS,))
         self._common, self._rows = NamedSharding(mesh, PartitionSpec()), NamedSharding(mesh, PartitionSpec(AXIS))
-        specs = {"in_specs": (self._common.spec, self._rows.spec), "out_specs": self._rows.spec}
         # check_vma: loops begin with zeros that are the same on every device, and end with what is not
-        self._run = jax.jit(jax.shard_map(one, mesh=mesh, check_vma=False, **specs))
+        specs = self._common.spec, self._rows.spec
+        self._run = jax.jit(jax.shard_map(one, mesh=mesh, check_vma=False, in_specs=specs, out_specs=self._rows.spec))
 
     def everywhere(self, common):
         """The same on every device."""

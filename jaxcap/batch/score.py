@@ -11,7 +11,7 @@ from jaxcap.batch.blocks import BLOCK, RAYS_BLOCK, block_of, over_blocks, padded
 from jaxcap.batch.devices import Spread, spread_over
 from jaxcap.batch.rounds import Shared, States, scored_block
 from jaxcap.contacts.cone import CentroidalCone, ConeRays
-from jaxcap.contacts.conventions import GRAVITY, FloatArray
+from jaxcap.contacts.conventions import GRAVITY, ArrayLike, FloatArray
 from jaxcap.contacts.scoring_input import check_cone, check_gravity, relative
 from jaxcap.one_state.result import Capturability
 
@@ -20,7 +20,7 @@ def score(
     cone: CentroidalCone | ConeRays,
     coms: Num[FloatArray, "n 3"],
     com_velocities: Num[FloatArray, "n 3"],
-    gravity=GRAVITY,
+    gravity: ArrayLike = GRAVITY,
     neighbours: bool = False,
 ) -> Capturability:
     """`capturability` of many states.
@@ -42,23 +42,19 @@ def score(
     _check_shapes(cone, coms, com_velocities)
     cone, coms = relative(cone, coms)
     coms, com_velocities = jnp.asarray(coms), jnp.asarray(com_velocities)
-    states = States(coms, com_velocities, cone if _own(cone) else None)
-    shared = Shared(jnp.asarray(gravity, jnp.result_type(coms, jnp.float32)), None if _own(cone) else padded_cone(cone))
+    own = cone if isinstance(cone, ConeRays) and cone.batched else None
+    states = States(coms, com_velocities, own)
+    shared = Shared(jnp.asarray(gravity, jnp.result_type(coms, jnp.float32)), None if own else padded_cone(cone))
     if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves((states, shared.cone))):
         return scored_block(shared, states, neighbours)
     devices = spread_over((states, shared))
     shares = max(len(devices), 1)
-    block, n = shares * (RAYS_BLOCK if _own(cone) else BLOCK), len(coms)
+    block, n = shares * (RAYS_BLOCK if own else BLOCK), len(coms)
     if shares == 1:
         return over_blocks(lambda start: _compiled(shared, block_of(states, n, start, block), neighbours), n, block)
     spread = _spread(devices, neighbours)
     everywhere = spread.everywhere(shared)
     return over_blocks(lambda start: spread(everywhere, block_of(states, n, start, block, shares)), n, block)
-
-
-def _own(cone: CentroidalCone | ConeRays) -> bool:
-    """Whether every state has a contact set of its own."""
-    return isinstance(cone, ConeRays) and cone.batched
 
 
 def _check_shapes(cone: CentroidalCone | ConeRays, coms, com_velocities) -> None:

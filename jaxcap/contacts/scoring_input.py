@@ -4,15 +4,13 @@ Positions are subtracted in the precision in which they come, before anything is
 the origin, is scored in single precision as one at the origin.
 """
 
-from typing import Any, TypeVar
+from typing import Any
 
 import jax
 import numpy as np
 
 from jaxcap.contacts.cone import CentroidalCone, ConeRays
 from jaxcap.contacts.contact_set import ContactSet
-
-Cone = TypeVar("Cone", CentroidalCone, ConeRays)
 
 
 def check_cone(cone: Any) -> None:
@@ -29,7 +27,7 @@ def check_gravity(gravity: Any) -> None:
         raise TypeError(f"gravity has shape {np.shape(gravity)} (expected (3,), such as (0, 0, -9.81))")
 
 
-def relative(cone: Cone, coms: Any) -> tuple[Cone, Any]:
+def relative(cone: CentroidalCone | ConeRays, coms: Any) -> tuple[CentroidalCone | ConeRays, Any]:
     """Cone and CoM positions with the contacts' centroid as their origin, where both are NumPy's; else as they are.
 
     JAX's arrays have their precision already. In NumPy the difference is taken in double precision, then rounded to the

@@ -55,7 +55,7 @@ class Boundary(NamedTuple):
     """A piecewise linear acceleration over alpha, from alpha = 0 on; convex, as long as it is not negated."""
 
     pieces: Pieces
-    count: Int[Array, ""]
+    used: Int[Array, ""]
     """Number of pieces in use in any lane."""
     end: Float[Array, "*n"]
     """Where the boundary ends [m]: the zero of the acceleration, the polygon's end, or infinity."""
@@ -115,7 +115,7 @@ class Boundary(NamedTuple):
         """Fold `step(piece, values, state)` over the pieces."""
         at = lambda k, field: jax.lax.dynamic_index_in_dim(field, k, keepdims=False)
         one = lambda k, arguments, state: step(Pieces(*(at(k, field) for field in arguments[0])), arguments[1], state)
-        return bounded_loop(one, len(self.pieces.left), self.count, (self.pieces, values), start)
+        return bounded_loop(one, len(self.pieces.left), self.used, (self.pieces, values), start)
 
 
 class Ride(NamedTuple):

@@ -5,7 +5,7 @@ import numpy as np
 from jaxtyping import Array, Num
 
 from jaxcap.contacts.cone import CentroidalCone, ConeRays
-from jaxcap.contacts.conventions import GRAVITY, FloatArray
+from jaxcap.contacts.conventions import GRAVITY, ArrayLike, FloatArray
 from jaxcap.contacts.scoring_input import check_cone, check_gravity, relative
 from jaxcap.one_state.decision import capturability_at
 from jaxcap.one_state.line import motion_of_lanes
@@ -13,7 +13,8 @@ from jaxcap.one_state.result import Capturability
 
 
 def capturability(
-    cone: CentroidalCone | ConeRays, com: Num[FloatArray, "3"], com_velocity: Num[FloatArray, "3"], gravity=GRAVITY
+    cone: CentroidalCone | ConeRays, com: Num[FloatArray, "3"], com_velocity: Num[FloatArray, "3"],
+    gravity: ArrayLike = GRAVITY,
 ) -> Capturability:
     """Can the robot come to rest without moving a contact, its CoM decelerating along its own velocity?
 

@@ -35,8 +35,9 @@ class Survey(NamedTuple):
 class Producer(Protocol):
     """The (alpha, acceleration) polygon of one state, whatever it is made of: all that verdict and margins need of it."""
 
-    size: Float[Array, "*n"]
-    """Scale of alpha [m]: size of the stance plus the CoM's distance from it."""
+    @property
+    def size(self) -> Float[Array, "*n"]:
+        """Scale of alpha [m]: size of the stance plus the CoM's distance from it."""
 
     def survey(self, near=None) -> Survey:
         """Static region, and polygon at alpha = 0. near: `Survey.near` of a similar state."""

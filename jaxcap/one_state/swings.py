@@ -55,7 +55,8 @@ def _farthest_rest(polygon, s_min, s_max, hanging):
 class Swing(NamedTuple):
     """Where the swings stand: at rest at `alpha`, about to go back."""
 
-    count: Int[Array, ""]
+    done: Int[Array, ""]
+    """Swings so far."""
     alpha: Float[Array, "*n"]
     """Where the CoM last came to rest [m]."""
     heading: Float[Array, ""]
@@ -87,7 +88,7 @@ def swing(polygon: Producer, s_min, s_max, ride: Ride, swinging: Bool[Array, "*n
         travelled = jnp.where(state.swinging & ~lost, back.alpha, 0)
         rest = state.alpha + state.heading * travelled
         return Swing(
-            count=state.count + 1,
+            done=state.done + 1,
             alpha=rest,
             heading=-state.heading,
             swinging=state.swinging & (unknown | ~lost & ~((s_min <= rest) & (rest <= s_max))),
@@ -97,7 +98,7 @@ def swing(polygon: Producer, s_min, s_max, ride: Ride, swinging: Bool[Array, "*n
         )
 
     start = Swing(
-        count=jnp.zeros((), jnp.int32),
+        done=jnp.zeros((), jnp.int32),
         alpha=alpha,
         heading=-jnp.ones((), alpha.dtype),
         swinging=swinging,
@@ -105,4 +106,4 @@ def swing(polygon: Producer, s_min, s_max, ride: Ride, swinging: Bool[Array, "*n
         time=ride.time,
         residual_speed=jnp.zeros_like(alpha),
     )
-    return jax.lax.while_loop(lambda state: jnp.any(state.swinging) & (state.count < MAX_SWINGS), once, start)
+    return jax.lax.while_loop(lambda state: jnp.any(state.swinging) & (state.done < MAX_SWINGS), once, start)

@@ -79,7 +79,7 @@ def walk(
     nothing = jnp.zeros((most, *limit.shape), limit.dtype)
     found = Boundary(
         pieces=Pieces(nothing, nothing, nothing, nothing),
-        count=jnp.zeros((), jnp.int32),
+        used=jnp.zeros((), jnp.int32),
         end=jnp.where(floorless, wall, jnp.inf),
         ending=jnp.where(floorless, End.FLOORLESS, End.LIMIT).astype(jnp.int8),
     )
@@ -93,7 +93,7 @@ def walk(
         marks=jax.tree.map(lambda field: jnp.zeros((most, *field.shape), field.dtype), mark(memory)),
     )
     last = jax.lax.while_loop(
-        lambda state: jnp.any(state.running) & (state.found.count < most),
+        lambda state: jnp.any(state.running) & (state.found.used < most),
         lambda state: _next_piece(follow, limit, enough, rising, mark, state),
         start,
     )
@@ -122,7 +122,7 @@ def _next_piece(follow, limit, enough, rising: bool, mark, state: WalkState) -> 
     ending = select([diverges, never, leaves], [End.DIVERGES, End.NEVER, End.POLYGON], found.ending)
     # The last line goes on without end, so that what lies beyond its end is still well defined.
     piece = Pieces(left=alpha, right=jnp.where(goes_on, end, jnp.inf), intercept=intercept, slope=slope)
-    put = lambda fields, value: jax.lax.dynamic_update_index_in_dim(fields, jnp.where(running, value, 0), found.count, 0)
+    put = lambda fields, value: jax.lax.dynamic_update_index_in_dim(fields, jnp.where(running, value, 0), found.used, 0)
     choose = lambda new, old: jnp.where(goes_on, new, old)
     return WalkState(
         alpha=choose(end, alpha),
@@ -132,7 +132,7 @@ def _next_piece(follow, limit, enough, rising: bool, mark, state: WalkState) -> 
         memory=jax.tree.map(choose, following.memory, memory),
         found=Boundary(
             pieces=jax.tree.map(put, found.pieces, piece),
-            count=found.count + 1,
+            used=found.used + 1,
             end=jnp.where(diverges, zero, jnp.where(leaves, end, found.end)),
             ending=ending.astype(jnp.int8),
         ),
@@ -159,5 +159,5 @@ def moved(found: Boundary, lines: Affine, wall: Float[Array, "*n"]) -> Boundary:
     at_zero = jnp.where(pick(final, pieces.left) < end, -ratio(rise, slope), at_knot)
     ends = jnp.where(found.ending == End.DIVERGES, at_zero, jnp.where(found.ending == End.POLYGON, wall, 0))
     zero = jnp.zeros_like(pieces.left)
-    integer = lambda x: np.zeros(x.shape, jax.dtypes.float0)
-    return Boundary(Pieces(zero, zero, *lines), integer(found.count), ends, integer(found.ending))
+    of_integers: Any = lambda x: np.zeros(x.shape, jax.dtypes.float0)   # the tangent that JAX wants for them
+    return Boundary(Pieces(zero, zero, *lines), of_integers(found.used), ends, of_integers(found.ending))
