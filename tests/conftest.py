@@ -14,14 +14,17 @@ MOST_KEPT = 4e9
 MOST_MAPS = 20_000
 """Of memory, in one process: every program takes some, Linux allows 65,530, and all programs together take 10 GB."""
 
+WORTH_KEEPING = 0.1
+"""Programs that take longer to compile are kept [s]."""
+
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(KEPT))
-os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.1")
+os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", str(WORTH_KEEPING))
 
 import jax  # noqa: E402
 from jaxtyping import install_import_hook  # noqa: E402
 
-jax.config.update("jax_compilation_cache_dir", os.environ["JAX_COMPILATION_CACHE_DIR"])   # it may have been imported before
-jax.config.update("jax_persistent_cache_min_compile_time_secs", float(os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"]))
+jax.config.update("jax_compilation_cache_dir", os.environ["JAX_COMPILATION_CACHE_DIR"])   # a plugin may have imported JAX
+jax.config.update("jax_persistent_cache_min_compile_time_secs", WORTH_KEEPING)
 
 with install_import_hook("jaxcap", "beartype.beartype"):
     import jaxcap  # noqa: F401
@@ -32,6 +35,8 @@ def pytest_addoption(parser):
 
 
 def pytest_configure(config):
+    if not config.option.everything:   # what the quick tests wait for is XLA: they take programs that it has not polished
+        jax.config.update("jax_disable_most_optimizations", True)
     # A program that another process is just writing, or that was cut off in writing, is compiled again
     config.addinivalue_line("filterwarnings", "ignore:Error reading persistent compilation cache entry:UserWarning")
     size = sum(file.stat().st_size for file in KEPT.glob("*"))
@@ -39,13 +44,28 @@ def pytest_configure(config):
         shutil.rmtree(KEPT)
 
 
+def pytest_report_header(config):
+    return None if config.option.everything else "the quick tests; --everything runs all of them"
+
+
+COUNTS = pytest.StashKey[dict[str, int]]()
+
+
 def pytest_collection_modifyitems(config, items):
     """Marks what is not quick, and leaves it out unless --everything or -m asks for it."""
     mark(items)
-    if config.option.everything or config.option.markexpr:
-        return
-    config.hook.pytest_deselected(items=[item for item in items if not is_quick(item)])
-    items[:] = filter(is_quick, items)
+    quick = [item for item in items if is_quick(item)]
+    others = [item for item in items if not is_quick(item)]
+    config.stash[COUNTS] = {"all": len(items), "quick": len(quick), "others": len(others)}
+    if not config.option.everything and not config.option.markexpr:
+        config.hook.pytest_deselected(items=others)
+        items[:] = quick
+
+
+@pytest.fixture
+def counts(request):
+    """How many tests were found, and how many of them are quick."""
+    return request.config.stash[COUNTS]
 
 
 @pytest.fixture

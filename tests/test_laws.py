@@ -89,6 +89,7 @@ def test_mask_equals_absence():
     assert_same(each()(cones, coms, velocities), each()(stack([built[id(arrays)] for arrays in contacts]), coms, velocities))
 
 
+@pytest.mark.slow
 def test_padding_of_faces_is_neutral():
     _, cones, coms, velocities = random_states(SETS, STATES, 11)
     more = jaxcap.CentroidalCone(np.pad(cones.faces, ((0, 0), (0, 7), (0, 0))), cones.origin, cones.length)
