@@ -22,7 +22,7 @@ from jaxcap.batch.devices import Spread, spread_over
 from jaxcap.batch.rounds import Shared, States, in_two_rounds
 from jaxcap.contacts.cone import CentroidalCone, ConeRays
 from jaxcap.contacts.conventions import FloatArray
-from jaxcap.maps.grid import CONTACTS, Grid, look_up
+from jaxcap.maps.grid import CONTACTS, POSITION, Grid, look_up
 from jaxcap.numerics.whole import ceil_div
 from jaxcap.one_state.decision import LIMITS, capturability_along, capturability_at
 from jaxcap.one_state.line import Motion
@@ -103,8 +103,8 @@ class Answers:
         dtype: DTypeLike,
     ):
         self.grid, self.quantities, self.regions = grid, quantities, regions(grid)
-        tables = grid.tables(dtype)
-        self._speeds = tables.pop("speed", np.zeros(0, dtype)) if grid.polar else None
+        tables = grid.tables(np.float64)
+        self._speeds = tables.pop("speed", np.zeros(0)).astype(dtype) if grid.polar else None
         self._names = tuple(tables)
         self._dims = tuple(name for name in grid.dims if name in (*self._names, *CONTACTS))
         self._sets = {name: size for name, size in self.regions.sizes.items() if name in CONTACTS}
@@ -113,8 +113,8 @@ class Answers:
         self._shares = max(len(devices), 1)
         blocks = ceil_div(lines, BLOCK * self._shares) * self._shares
         self._size = ceil_div(lines, blocks * LANES) * LANES
-        given = jax.tree.map(jnp.asarray, tables), jnp.asarray(gravity, np.dtype(dtype))
-        arguments = [(jax.tree.map(jnp.asarray, cone), *given) for cone in _equally_long(cones)]
+        gravity = jnp.asarray(gravity, np.dtype(dtype))
+        arguments = [(*_about_contacts(cone, tables, dtype), gravity) for cone in _equally_long(cones)]
         options = _Options(self._names, self._size, self.quantities)
         if self._shares == 1:
             self._programs = [partial(_compiled, *common, options=options) for common in arguments]
@@ -175,6 +175,15 @@ class Answers:
             at_speeds = values[:, : region.shape(["speed"])[0]].reshape(*shape, -1)
             return np.ascontiguousarray(np.moveaxis(at_speeds, -1, dims.index("speed")))
         return values.reshape(shape)   # drops the axis of a single speed
+
+
+def _about_contacts(cone: CentroidalCone | ConeRays, tables: dict[str, np.ndarray], dtype: DTypeLike) -> tuple:
+    """Cone and tables on the device, with the contacts' centroid as the origin of positions: subtracted before they are
+    cast."""
+    origin = dict(zip(POSITION, np.asarray(cone.origin, np.float64), strict=True))
+    with np.errstate(over="ignore"):   # beyond the largest number there is infinity, and the states are marked
+        tables = {name: jnp.asarray((values - origin.get(name, 0)).astype(dtype)) for name, values in tables.items()}
+    return jax.tree.map(jnp.asarray, cone._replace(origin=np.zeros(3))), tables
 
 
 def _equally_long(cones: Sequence[CentroidalCone | ConeRays]) -> list[CentroidalCone | ConeRays]:
