@@ -14,7 +14,8 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from numpy.typing import ArrayLike
+
+from jaxcap.contacts.conventions import ArrayLike
 
 try:
     import pinocchio as pin

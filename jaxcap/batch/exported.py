@@ -15,13 +15,13 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from numpy.typing import ArrayLike, DTypeLike
+from numpy.typing import DTypeLike
 
 from jaxcap.batch.blocks import BLOCK, LANES, padded_cone
 from jaxcap.batch.rounds import Shared, States, scored_block
 from jaxcap.contacts.cone import CentroidalCone, ConeRays, cone_rays
 from jaxcap.contacts.contact_set import ContactSet
-from jaxcap.contacts.conventions import GRAVITY
+from jaxcap.contacts.conventions import GRAVITY, ArrayLike
 from jaxcap.contacts.scoring_input import check_gravity
 from jaxcap.errors import needs_extra
 

@@ -13,13 +13,12 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 from jaxtyping import Float, Int
-from numpy.typing import ArrayLike
 
 import jaxcap
 from jaxcap.batch.blocks import BLOCK
 from jaxcap.contacts.cone import CentroidalCone, ConeRays, cone_rays
 from jaxcap.contacts.contact_set import ContactSet
-from jaxcap.contacts.conventions import GRAVITY
+from jaxcap.contacts.conventions import GRAVITY, ArrayLike
 from jaxcap.contacts.projection import ProjectionError
 from jaxcap.errors import InputError
 from jaxcap.files.contact_columns import CHOICE, MULTIPLE, BadRows, RowChoices, RowContacts
@@ -179,7 +178,7 @@ class OwnContacts(Scorer):
         self._width = max(self._width, contacts.mask.shape[1])
         *fields, bad = contacts.padded(self._width)
         fields = [x if x.dtype == bool else x.astype(dtype, copy=False) for x in fields]
-        sets = ContactSet.tree_unflatten(None, fields)  # unflatten: the values were checked already
+        sets = ContactSet.unchecked(*fields)
         return [Part(np.arange(n), _rays(sets, self._sides), sets)], bad
 
 

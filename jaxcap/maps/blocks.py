@@ -15,13 +15,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
-from numpy.typing import ArrayLike, DTypeLike
+from numpy.typing import DTypeLike
 
 from jaxcap.batch.blocks import BLOCK, LANES, padded_cone, side_by_side
 from jaxcap.batch.devices import Spread, spread_over
 from jaxcap.batch.rounds import Shared, States, in_two_rounds
 from jaxcap.contacts.cone import CentroidalCone, ConeRays
-from jaxcap.contacts.conventions import FloatArray
+from jaxcap.contacts.conventions import ArrayLike, FloatArray
 from jaxcap.maps.grid import CONTACTS, POSITION, Grid, look_up
 from jaxcap.numerics.whole import ceil_div
 from jaxcap.one_state.decision import LIMITS, capturability_along, capturability_at

@@ -15,10 +15,10 @@ from typing import Any, NamedTuple
 
 import jax
 import numpy as np
-from numpy.typing import ArrayLike, DTypeLike
+from numpy.typing import DTypeLike
 
 from jaxcap.contacts.cone import CentroidalCone, ConeRays, centroidal_cone
-from jaxcap.contacts.conventions import GRAVITY
+from jaxcap.contacts.conventions import GRAVITY, ArrayLike
 from jaxcap.errors import InputError, needs_extra
 from jaxcap.files.fields import FIELDS, output_types
 from jaxcap.files.whole_file import check_output, whole_file

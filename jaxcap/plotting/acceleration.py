@@ -5,10 +5,9 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 from matplotlib.axes import Axes
-from numpy.typing import ArrayLike
 
 from jaxcap.contacts.cone import CentroidalCone
-from jaxcap.contacts.conventions import GRAVITY
+from jaxcap.contacts.conventions import GRAVITY, ArrayLike
 from jaxcap.plotting.style import BLUE, DARK, GREY, PALE, RED, axes_or_new, halo
 from jaxcap.plotting.travel import Travel, travel
 

@@ -3,11 +3,10 @@
 import numpy as np
 from jaxtyping import Float
 from matplotlib.axes import Axes
-from numpy.typing import ArrayLike
 
 import jaxcap
 from jaxcap.contacts.cone import CentroidalCone
-from jaxcap.contacts.conventions import GRAVITY
+from jaxcap.contacts.conventions import GRAVITY, ArrayLike
 from jaxcap.plotting.acceleration import endpoint, static_region
 from jaxcap.plotting.style import BLUE, DARK, PALE, RED, axes_or_new
 from jaxcap.plotting.travel import Travel, travel

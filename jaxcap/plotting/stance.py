@@ -7,10 +7,10 @@ from jaxtyping import Float
 from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 from mpl_toolkits.mplot3d.axes3d import Axes3D
-from numpy.typing import ArrayLike
 
 from jaxcap.contacts.cone import CentroidalCone, centroidal_cone
 from jaxcap.contacts.contact_set import ContactSet
+from jaxcap.contacts.conventions import ArrayLike
 from jaxcap.contacts.friction import pyramid_edges
 from jaxcap.plotting.footprint import patches
 from jaxcap.plotting.region import clipped

@@ -6,11 +6,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int8, Shaped
-from numpy.typing import ArrayLike
 
 from jaxcap.batch.blocks import ROWS
 from jaxcap.contacts.cone import CentroidalCone
-from jaxcap.contacts.conventions import FloatArray
+from jaxcap.contacts.conventions import ArrayLike, FloatArray
 from jaxcap.numerics.guarded import direction, root
 from jaxcap.numerics.whole import round_up
 from jaxcap.one_state.boundary import Boundary, End
