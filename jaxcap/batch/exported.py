@@ -10,7 +10,7 @@ load none that you do not trust.
 """
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -34,10 +34,10 @@ ANY_BLOCK = 8 * LANES
 def export(
     cone: CentroidalCone | ConeRays,
     n: int | str = "n",
-    dtype="float32",
+    dtype: DTypeLike = "float32",
     gravity: ArrayLike = GRAVITY,
     platforms: Sequence[str] = PLATFORMS,
-    positions: str | None = None,
+    positions: DTypeLike | None = None,
 ) -> bytes:
     """`score` for one contact set, as a program to be loaded by `jax.export.deserialize`.
 
@@ -74,10 +74,10 @@ def export_contacts(
     contacts: int,
     sides: int = 4,
     n: int | str = "n",
-    dtype="float32",
+    dtype: DTypeLike = "float32",
     gravity: ArrayLike = GRAVITY,
     platforms: Sequence[str] = PLATFORMS,
-    positions: str | None = None,
+    positions: DTypeLike | None = None,
 ) -> bytes:
     """The same, with the contacts as an argument: one program for all contact sets of up to so many contacts.
 
@@ -123,14 +123,21 @@ class _Dtypes(NamedTuple):
         return dtypes
 
 
-def _serialized(cone: Callable, of_contacts: Sequence, n: int | str, dtypes: _Dtypes, gravity, platforms) -> bytes:
+def _serialized(
+    cone: Callable,
+    of_contacts: Sequence,
+    n: int | str,
+    dtypes: _Dtypes,
+    gravity: ArrayLike,
+    platforms: Sequence[str],
+) -> bytes:
     """A program that takes what `cone` takes, of these shapes and dtypes, and the states."""
     if not isinstance(n, str) and n < 1:
         raise ValueError(f"n = {n} (expected at least 1, or the name of a dimension)")
     check_gravity(gravity)
     with needs_extra("export", "jaxcap.exported"):
         import flatbuffers  # noqa: F401
-    gravity = np.asarray(gravity, dtypes.answers)
+    pull: Any = np.asarray(gravity, dtypes.answers)   # NumPy's: a constant of the program, whatever the x64 switch says here
     block = ANY_BLOCK if isinstance(n, str) else min(n, BLOCK)
 
     def capturability(*arguments):
@@ -138,7 +145,7 @@ def _serialized(cone: Callable, of_contacts: Sequence, n: int | str, dtypes: _Dt
         there = cone(*contacts)
         arms = (coms - jnp.asarray(there.origin, dtypes.positions)).astype(dtypes.answers)
         here = jax.tree.map(lambda x: x if x.dtype == bool else jnp.asarray(x, dtypes.answers), there)
-        shared = Shared(gravity, here._replace(origin=jnp.zeros(3, dtypes.answers)))
+        shared = Shared(pull, here._replace(origin=jnp.zeros(3, dtypes.answers)))
         answer = lambda states: scored_block(shared, states, False)._asdict()
         return _over_blocks(answer, States(arms, com_velocities), block)
 
@@ -149,7 +156,7 @@ def _serialized(cone: Callable, of_contacts: Sequence, n: int | str, dtypes: _Dt
         return bytes(jax.export.export(jax.jit(capturability), platforms=tuple(platforms))(*shapes).serialize())
 
 
-def _over_blocks(one: Callable, rows, block: int):
+def _over_blocks(one: Callable, rows: Any, block: int) -> Any:
     """`one` of all rows, a block at a time. Not `over_chunks`: the number of rows may be a symbol, and rows stay first."""
     n = jax.tree.leaves(rows)[0].shape[0]
     blocks = (n + block - 1) // block

@@ -54,7 +54,7 @@ def scored_block(shared: Shared, states: States, neighbours: bool) -> Capturabil
 
 
 @scored_block.defjvp
-def _scored_block_jvp(neighbours: bool, primals, tangents):
+def _scored_block_jvp(neighbours: bool, primals: tuple, tangents: tuple) -> tuple[Capturability, Capturability]:
     """Derivatives are those of one round: the second has a loop of unknown length, and puts its answers over the first's."""
 
     def in_one_round(shared: Shared, states: States) -> Capturability:
@@ -98,7 +98,15 @@ def in_two_rounds(
     return _second_round(shared, (states, glance.survey), order, count, glance.answer, answer, lanes)
 
 
-def _second_round(shared: Shared, rows, order: Int[Array, " m"], count, answers, answer: Callable, lanes: int) -> Any:
+def _second_round(
+    shared: Shared,
+    rows: tuple[States, Survey],
+    order: Int[Array, " m"],
+    count: Int[Array, ""],
+    answers: Any,
+    answer: Callable[[Motion], Any],
+    lanes: int,
+) -> Any:
     """The answers, with those of the first `count` rows of `order` found anew, by a whole walk."""
     n = len(rows[0].coms)
     rows = jax.tree.map(lambda x: x[order], rows)
@@ -106,7 +114,8 @@ def _second_round(shared: Shared, rows, order: Int[Array, " m"], count, answers,
     def one_chunk(chunk, answers):
         start = chunk * lanes
         cut = lambda x: jax.lax.dynamic_slice_in_dim(x, start, lanes)
-        found = answer(_motion(shared, *jax.tree.map(lambda x: jnp.moveaxis(cut(x), 0, -1), rows), quick=False))
+        states, survey = jax.tree.map(lambda x: jnp.moveaxis(cut(x), 0, -1), rows)
+        found = answer(_motion(shared, states, survey, quick=False))
         place = jnp.where(start + jnp.arange(lanes) < count, cut(order), n)   # beyond the last: dropped
         return jax.tree.map(lambda x, y: x.at[place].set(jnp.moveaxis(y, -1, 0), mode="drop"), answers, found)
 
@@ -123,7 +132,9 @@ def _motion(shared: Shared, lanes: States, survey: Survey | None, quick: bool) -
     return motion_of_lanes(shared.cone_of(lanes), lanes.coms, lanes.com_velocities, shared.gravity, survey, quick)
 
 
-def unsettled(skipped: Int8[Array, " n"], slope: Float[Array, " n"], lanes: int):
+def unsettled(
+    skipped: Int8[Array, " n"], slope: Float[Array, " n"], lanes: int
+) -> tuple[Int[Array, " m"], Int[Array, ""]]:
     """Indices of the rows where something was skipped, those alike together, padded to whole chunks; and how many they are.
 
     slope: where the quick look stopped [1/s^2]; the steeper a boundary still falls, the more pieces follow. All is sorted as
@@ -146,7 +157,7 @@ def _lean(survey: Survey) -> Survey:
 def _surveys(shared: Shared, states: States) -> Survey:
     """All surveys of a block of neighbours, which share a lane: each begins where the one before has ended."""
 
-    def one(lanes: States, near=None) -> Survey:
+    def one(lanes: States, near: Any = None) -> Survey:
         return survey_of_lanes(shared.cone_of(lanes), lanes.coms, lanes.com_velocities, shared.gravity, near)
 
     n, steps = len(states.coms), ceil_div(len(states.coms), LANES)

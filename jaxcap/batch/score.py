@@ -1,41 +1,51 @@
 """Many states: blocks for the cores and the devices."""
 
 from functools import cache
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Num
 
 from jaxcap.batch.blocks import BLOCK, RAYS_BLOCK, block_of, over_blocks, padded_cone
 from jaxcap.batch.devices import Spread, spread_over
 from jaxcap.batch.rounds import Shared, States, scored_block
 from jaxcap.contacts.cone import CentroidalCone, ConeRays
-from jaxcap.contacts.conventions import GRAVITY, ArrayLike, FloatArray
+from jaxcap.contacts.conventions import GRAVITY, ArrayLike
 from jaxcap.contacts.scoring_input import check_cone, check_gravity, relative
 from jaxcap.one_state.result import Capturability
 
 
 def score(
     cone: CentroidalCone | ConeRays,
-    coms: Num[FloatArray, "n 3"],
-    com_velocities: Num[FloatArray, "n 3"],
+    coms: ArrayLike,
+    com_velocities: ArrayLike,
     gravity: ArrayLike = GRAVITY,
     neighbours: bool = False,
 ) -> Capturability:
     """`capturability` of many states.
 
-    cone: from `centroidal_cone` or `cone_rays`; rays may be those of one contact set, or have a leading axis of n: a
-    contact set for each state. coms: (n, 3) [m], com_velocities: (n, 3) [m/s], gravity: (3,) [m/s^2], all in the contacts'
-    frame, z up. neighbours: rows that follow each other are similar states, as along a trajectory or on a grid, and rays
-    start each from the one before (a warm start); the answers are the same but for rounding. The inputs' dtype decides the
-    precision, as far as JAX's x64 switch allows. Every field of the result has shape (n,). A state with NaN or infinity
-    gets `Status.NONFINITE` and leaves the others alone; n may be 0.
-
     Several devices of a process share the states, and the answers, the same to the bit, come to the default device. Only
     some: place an argument there (`jax.device_put` with a device or a sharding), or set `jax.default_device`.
 
-    Raises TypeError for wrong shapes.
+    Args:
+        cone: from `centroidal_cone` or `cone_rays`; rays may be those of one contact set, or have a leading axis of n: a
+            contact set for each state.
+        coms: (n, 3) [m], in the contacts' frame, z up; n may be 0. NumPy's positions far from the origin lose nothing, for
+            the contacts' centroid is subtracted before they are rounded.
+        com_velocities: (n, 3) [m/s].
+        gravity: (3,) [m/s^2].
+        neighbours: rows that follow each other are similar states, as along a trajectory or on a grid, and rays start each
+            from the one before (a warm start); the answers are the same but for rounding.
+
+    Returns:
+        Every field has shape (n,). The inputs' dtype decides the precision, as far as JAX's x64 switch allows. A state with
+        NaN or infinity gets `Status.NONFINITE` and leaves the others alone.
+
+    Raises:
+        TypeError: for wrong shapes, or contacts in place of a cone.
+
+    Source: Section III, as `capturability`.
     """
     check_cone(cone)
     check_gravity(gravity)
@@ -57,7 +67,7 @@ def score(
     return over_blocks(lambda start: spread(everywhere, block_of(states, n, start, block, shares)), n, block)
 
 
-def _check_shapes(cone: CentroidalCone | ConeRays, coms, com_velocities) -> None:
+def _check_shapes(cone: CentroidalCone | ConeRays, coms: Any, com_velocities: Any) -> None:
     """Raises TypeError."""
     for name, value in (("coms", coms), ("com_velocities", com_velocities)):
         if np.ndim(value) != 2 or np.shape(value)[1] != 3:

@@ -182,8 +182,8 @@ def _about_contacts(cone: CentroidalCone | ConeRays, tables: dict[str, np.ndarra
     cast."""
     origin = dict(zip(POSITION, np.asarray(cone.origin, np.float64), strict=True))
     with np.errstate(over="ignore"):   # beyond the largest number there is infinity, and the states are marked
-        tables = {name: jnp.asarray((values - origin.get(name, 0)).astype(dtype)) for name, values in tables.items()}
-    return jax.tree.map(jnp.asarray, cone._replace(origin=np.zeros(3))), tables
+        local = {name: jnp.asarray((values - origin.get(name, 0)).astype(dtype)) for name, values in tables.items()}
+    return jax.tree.map(jnp.asarray, cone._replace(origin=np.zeros(3))), local
 
 
 def _equally_long(cones: Sequence[CentroidalCone | ConeRays]) -> list[CentroidalCone | ConeRays]:

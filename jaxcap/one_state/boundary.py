@@ -96,7 +96,7 @@ class Boundary(NamedTuple):
         zero = jnp.zeros_like(energy)
         return self._over_pieces(_ride_piece, None, Ride(energy, zero, zero, jnp.ones_like(zero)))
 
-    def duration(self, start, stop, energy, energy_at_stop) -> Float[Array, "*n"]:
+    def duration(self, start: Array, stop: Array, energy: Array, energy_at_stop: Array) -> Float[Array, "*n"]:
         """Time from alpha = start to a finite stop [s] for a CoM that has these energies there.
 
         The second follows from the first but for rounding, which would show in a CoM that comes to rest.
@@ -131,7 +131,7 @@ class Ride(NamedTuple):
     """1 until it has come to rest, then 0."""
 
 
-def _ride_piece(piece: Pieces, _, ride: Ride) -> Ride:
+def _ride_piece(piece: Pieces, _: None, ride: Ride) -> Ride:
     moving = (ride.moving > 0) & (piece.right > piece.left)
     last = jnp.isinf(piece.right)
     right = jnp.where(last, piece.left, piece.right)
@@ -149,7 +149,7 @@ def _ride_piece(piece: Pieces, _, ride: Ride) -> Ride:
     )
 
 
-def piece_gain(piece: Pieces, left, right):
+def piece_gain(piece: Pieces, left: Array, right: Array) -> Array:
     """Energy gained from left to right, both on the piece."""
     return (right - left) * (piece.intercept + piece.slope * (left + right) / 2)
 

@@ -89,7 +89,7 @@ def _speeds(line: Line) -> Speeds:
     return Speeds(jnp.where(some, smallest, 0), before, inside, jnp.where(some, largest, 0), stops, known)
 
 
-def _case(line: Line, speeds: Speeds, speed):
+def _case(line: Line, speeds: Speeds, speed: Array) -> Array:
     """The leaf of the decision tree (Fig. 3)."""
     return select(
         [
@@ -147,7 +147,7 @@ class _Way(NamedTuple):
     """It still swings at the bound on swings."""
 
 
-def _way(line: Line, speeds: Speeds, speed, case) -> _Way:
+def _way(line: Line, speeds: Speeds, speed: Array, case: Array) -> _Way:
     """The motion itself, followed to its end."""
     lower, energy = line.lower, speed * speed / 2
     at_once = lower.ending == End.FLOORLESS

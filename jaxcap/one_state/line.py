@@ -3,7 +3,7 @@
 Everything here but the speed itself is independent of the speed. Arrays carry their lanes last.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -82,21 +82,25 @@ def motion_of_lanes(
 
 @jax.jit
 def survey_of_lanes(
-    cone: CentroidalCone | ConeRays, com: Num[Array, "3 *n"], com_velocity: Num[Array, "3 *n"], gravity, near=None
+    cone: CentroidalCone | ConeRays,
+    com: Num[Array, "3 *n"],
+    com_velocity: Num[Array, "3 *n"],
+    gravity: ArrayLike,
+    near: Any = None,
 ) -> Survey:
     """The first part of `motion_of_lanes`, which every state needs. near: `Survey.near` of similar states."""
     return _cut(cone, com, com_velocity, gravity).polygon.survey(near)
 
 
-def _cut(cone, com, com_velocity, gravity) -> _Cut:
+def _cut(cone: CentroidalCone | ConeRays, com: Array, com_velocity: Array, gravity: ArrayLike) -> _Cut:
     dtype = jnp.promote_types(jnp.result_type(com, com_velocity), jnp.float32)
-    com, com_velocity, gravity = com.astype(dtype), com_velocity.astype(dtype), jnp.asarray(gravity, dtype)
-    pulls = jnp.all(jnp.isfinite(gravity))
+    com, com_velocity, pull = com.astype(dtype), com_velocity.astype(dtype), jnp.asarray(gravity, dtype)
+    pulls = jnp.all(jnp.isfinite(pull))
     finite = jnp.all(jnp.isfinite(com) & jnp.isfinite(com_velocity), axis=0) & pulls & _finite_cone(cone)
     along, speed = direction(jnp.where(finite, com_velocity, 0))
-    cut = ray_polygon if isinstance(cone, ConeRays) else polygon
+    cut: Any = ray_polygon if isinstance(cone, ConeRays) else polygon
     # What is not finite gives way to numbers, of which the walk can make sense.
-    found = cut(cone, jnp.where(finite, com, 0), along, jnp.where(pulls, gravity, jnp.asarray(GRAVITY, dtype)))
+    found = cut(cone, jnp.where(finite, com, 0), along, jnp.where(pulls, pull, jnp.asarray(GRAVITY, dtype)))
     near = tolerances(dtype).slack * found.size <= FARTHEST * jnp.asarray(cone.length, dtype)
     return _Cut(found, speed, finite & near & (speed <= FASTEST))
 

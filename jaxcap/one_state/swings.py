@@ -28,7 +28,9 @@ class Farthest(NamedTuple):
     """False where the polygon has more edges than are walked."""
 
 
-def farthest_rest(polygon: Producer, s_min, s_max, hanging: Bool[Array, "*n"]) -> Farthest:
+def farthest_rest(
+    polygon: Producer, s_min: Float[Array, "*n"], s_max: Float[Array, "*n"], hanging: Bool[Array, "*n"]
+) -> Farthest:
     """The farthest alpha from which, at rest, the robot is captured; s_max in lanes that are not `hanging`.
 
     The way back to s_max gains at least the energy under the upper boundary; the way on from there can take away as much as
@@ -70,7 +72,9 @@ class Swing(NamedTuple):
     """Speed that is left where a swing did not stop [m/s]."""
 
 
-def swing(polygon: Producer, s_min, s_max, ride: Ride, swinging: Bool[Array, "*n"]) -> Swing:
+def swing(
+    polygon: Producer, s_min: Float[Array, "*n"], s_max: Float[Array, "*n"], ride: Ride, swinging: Bool[Array, "*n"]
+) -> Swing:
     """Swing to and fro until at rest in [s_min, s_max], out of control, or the bound on swings.
 
     ride: the way to the first stop, to which the swings' distance and time are added. Not differentiated.

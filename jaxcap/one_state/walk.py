@@ -4,6 +4,7 @@ A producer knows the first line and, standing on a line, where that line ends an
 how, is decided here.
 """
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -57,17 +58,17 @@ class WalkState(NamedTuple):
 
 
 def walk(
-    follow,
+    follow: Callable[[Array, Affine, Any], Next],
     first: Affine,
-    memory,
-    floorless,
-    wall,
+    memory: Any,
+    floorless: Bool[Array, "*n"],
+    wall: Float[Array, "*n"],
     limit: Float[Array, "*n"],
     rising: bool,
     most: int | None = None,
     enough: Float[Array, "*n"] | None = None,
-    mark=lambda memory: (),
-):
+    mark: Callable[[Any], Any] = lambda memory: (),
+) -> tuple[Boundary, Any]:
     """The boundary from alpha = 0 on, to where it turns non-negative while rising (C1; not with `rising`), to the polygon's
     right end (C2), or a little beyond `limit` or where it has taken the energy `enough`; `most` pieces at most (MAX_PIECES).
     Lanes whose limit is not positive are not walked.
@@ -101,7 +102,9 @@ def walk(
     return last.found._replace(ending=ending.astype(jnp.int8)), last.marks
 
 
-def _next_piece(follow, limit, enough, rising: bool, mark, state: WalkState) -> WalkState:
+def _next_piece(
+    follow: Callable, limit: Array, enough: Array | None, rising: bool, mark: Callable, state: WalkState
+) -> WalkState:
     """Record the current line; go on along the one that follows, or stop."""
     alpha, line, energy, running, memory, found, marks = state
     intercept, slope = line
