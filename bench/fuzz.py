@@ -14,7 +14,7 @@ to each. Both forms answer every state. Counted are, kind by kind:
     wrong faces, rays  claims, of those above, that `bench.fuzz_judge` finds true of no state within rounding of the state
     unjudged           states where the judge found no answer, or that were more than --judge of their kind
     undecided          states that a form does not decide
-    refused            contact sets without faces (ProjectionError)
+    refused            contact sets that `centroidal_cone` refuses, and which get no faces
 
 Ends with status 1 if a claim is wrong or unjudged, a projection refused, or more states undecided than 1 in 10^6 in double
 and 1 in 10^5 in single precision. An interrupt prints the table so far. --json OUT saves failing states with their contacts,
@@ -38,7 +38,6 @@ import numpy as np
 import jaxcap
 from bench.fuzz_judge import BAND, capturable, state_of, true_of_some
 from bench.fuzz_kinds import CONTACTS, KINDS, Sample, draw
-from jaxcap.contacts.projection import ProjectionError
 
 UNDECIDED = {"float64": 1e-6, "float32": 1e-5}
 """Share of states that may be undecided."""
@@ -131,7 +130,7 @@ class Scorer:
         """By faces; None if the projection is refused."""
         try:
             cone = jaxcap.centroidal_cone(contacts_of(sample), sample.sides)
-        except ProjectionError:
+        except ValueError:
             return None
         cone = cone.padded(next(size for size in FACES if size >= len(cone.faces)))
         return claims(jaxcap.score(cone, *self._states([sample], 1)))

@@ -36,7 +36,6 @@ import numpy as np
 
 import jaxcap
 from bench.fuzz_kinds import CONTACTS, KINDS, Sample, draw
-from jaxcap.contacts.projection import ProjectionError
 
 STEPS = (1e-6, 1.25e-7)
 """Of the differences, relative [-]."""
@@ -249,7 +248,7 @@ def cone_of(sample: Sample):
     """Faces padded to one of a few numbers, or None if the projection is refused."""
     try:
         cone = jaxcap.centroidal_cone(jaxcap.ContactSet(sample.points, sample.frames, sample.friction), sample.sides)
-    except ProjectionError:
+    except ValueError:
         return None
     return cone.padded(next(size for size in FACES if size >= len(cone.faces)))
 
