@@ -8,13 +8,14 @@ to each. Both forms answer every state. Counted are, kind by kind:
     states, sets       where both forms were asked
     differ             states with two verdicts, unless both margins are within the band: 1e-6 of the speed in double
                        precision, 1e-3 in single
-    limits             states with one verdict, but a largest or smallest speed that differs by more than twice the band: at
-                       the speed in the middle of the two, the forms claim different verdicts
+    limits             states with one verdict, but a largest or smallest speed that differs by more than twice the band (of
+                       it, or of the speed of a fall over the state's size): at the speed in the middle of the two, the forms
+                       claim different verdicts
     agreed             states where the forms agree that were judged all the same, one in every tenth set
     wrong faces, rays  claims, of those above, that `bench.fuzz_judge` finds true of no state within rounding of the state
     unjudged           states where the judge found no answer, or that were more than --judge of their kind
     undecided          states that a form does not decide
-    refused            contact sets without faces (ProjectionError)
+    refused            contact sets that `centroidal_cone` refuses, and which get no faces
 
 Ends with status 1 if a claim is wrong or unjudged, a projection refused, or more states undecided than 1 in 10^6 in double
 and 1 in 10^5 in single precision. An interrupt prints the table so far. --json OUT saves failing states with their contacts,
@@ -36,9 +37,9 @@ import jax
 import numpy as np
 
 import jaxcap
-from bench.fuzz_judge import BAND, capturable, state_of, true_of_some
+from bench.fuzz_judge import BAND, capturable, sizes, state_of, true_of_some
 from bench.fuzz_kinds import CONTACTS, KINDS, Sample, draw
-from jaxcap.contacts.projection import ProjectionError
+from reference.contacts import GRAVITY
 
 UNDECIDED = {"float64": 1e-6, "float32": 1e-5}
 """Share of states that may be undecided."""
@@ -101,8 +102,8 @@ class Difference(NamedTuple):
     """Rows with one verdict, and a speed at which there would be two [m/s]."""
 
 
-def difference(faces: Claims, rays: Claims, speeds: np.ndarray, band: float) -> Difference:
-    """Where the forms differ outside the band; speeds: (n,) [m/s]."""
+def difference(faces: Claims, rays: Claims, speeds: np.ndarray, falls: np.ndarray, band: float) -> Difference:
+    """Where the forms differ outside the band; speeds, falls: of the states, and of a fall over their size (n,) [m/s]."""
     both = faces.decided & rays.decided
     with np.errstate(invalid="ignore"):
         far = np.maximum(np.abs(faces.margin), np.abs(rays.margin)) > band * speeds
@@ -111,7 +112,8 @@ def difference(faces: Claims, rays: Claims, speeds: np.ndarray, band: float) -> 
         for name in ("max_speed", "min_speed"):
             one, other = (np.asarray(getattr(form, name), float) for form in (faces, rays))
             least = np.minimum(one, other)
-            apart = np.abs(one - other) > 2 * band * np.maximum(np.where(np.isfinite(least), least, 0), speeds)
+            scale = np.maximum(np.where(np.isfinite(least), least, 0), np.maximum(speeds, falls))
+            apart = np.abs(one - other) > 2 * band * scale
             middle = np.where(np.isfinite(one + other), (one + other) / 2, 2 * np.maximum(least, speeds))
             for row in np.flatnonzero(both & ~differ & apart):
                 speed = float(middle[row])
@@ -131,7 +133,7 @@ class Scorer:
         """By faces; None if the projection is refused."""
         try:
             cone = jaxcap.centroidal_cone(contacts_of(sample), sample.sides)
-        except ProjectionError:
+        except ValueError:
             return None
         cone = cone.padded(next(size for size in FACES if size >= len(cone.faces)))
         return claims(jaxcap.score(cone, *self._states([sample], 1)))
@@ -188,7 +190,8 @@ class Report:
             return
         count["states"] += len(sample.coms)
         count["sets"] += 1
-        found = difference(faces, rays, np.linalg.norm(sample.velocities, axis=1), BAND[self.dtype])
+        falls = np.sqrt(2 * np.linalg.norm(GRAVITY) * sizes(sample))
+        found = difference(faces, rays, np.linalg.norm(sample.velocities, axis=1), falls, BAND[self.dtype])
         for row in found.verdicts:
             self._judge("differ", sample, row, None, faces, rays)
         for row, speed in found.limits:

@@ -61,11 +61,18 @@ class State(NamedTuple):
     """Half-width of the interval of speeds, relative to the speed [-]."""
 
 
+def sizes(sample: Sample) -> np.ndarray:
+    """Size of each state [m], (n,): from the contacts' centroid to the farthest contact, and to the CoM."""
+    centre = sample.points.mean(axis=0)
+    arms = np.linalg.norm(sample.points - centre, axis=1).max() + np.linalg.norm(sample.coms - centre, axis=1)
+    return np.where(arms > 0, arms, 1.0)
+
+
 def state_of(sample: Sample, row: int, dtype: str, speed: float | None = None) -> State:
     """The state of this row, at its own speed or another [m/s]."""
     centre = sample.points.mean(axis=0)
     com, velocity = sample.coms[row], sample.velocities[row]
-    size = np.linalg.norm(sample.points - centre, axis=1).max() + np.linalg.norm(com - centre) or 1.0
+    size = float(sizes(sample)[row])
     own_speed = np.linalg.norm(velocity)
     largest = max(np.abs(sample.points).max(), np.abs(com).max())
     return State(

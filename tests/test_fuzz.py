@@ -72,10 +72,10 @@ def test_differences_outside_the_band_are_found():
     other.capturable[:] = [True, False, False]
     other.margin[:] = [0.1, -1e-9, -0.1]
     right.margin[1] = 1e-9
-    assert fuzz.difference(right, other, np.full(3, 0.1), 1e-6).verdicts.tolist() == [2]
+    assert fuzz.difference(right, other, np.full(3, 0.1), np.full(3, 0.2), 1e-6).verdicts.tolist() == [2]
     other = answers(3)
     other.max_speed[:] = [0.2, 0.2 * (1 + 1e-7), 0.3]
-    (row, speed), = fuzz.difference(right, other, np.full(3, 0.1), 1e-6).limits
+    (row, speed), = fuzz.difference(right, other, np.full(3, 0.1), np.full(3, 0.2), 1e-6).limits
     assert row == 2 and speed == pytest.approx(0.25)
 
 
@@ -97,12 +97,12 @@ def test_undecided_states_fail():
 
 
 def test_derivatives_are_told_apart():
-    sides = np.array([[1.0, 1.0, 1.0, 1.0, 5.0], [1.0, 1.0, 1.0, 1.0, 9.0]])
-    other = np.array([[1.0, 1.0, 2.0, 2.0, 1.0], [1.0, 1.0, 2.0, 2.0, 1.0]])
-    derivative = np.array([1.0, 1.5, 2.0, 1.5, 7.0])
-    column = gradients.verdicts(derivative, gradients.Differences(sides, other), np.zeros(5), np.ones(5))
-    assert column.tolist() == ["right", "wrong", "kinks right", "kinks wrong", "unclear"]
-    same = gradients.Differences(sides[:, :2], sides[:, :2])
+    ahead = np.array([[1.0, 1, 1, 1, 5, 0], [1, 1, 1, 1, 9, 0], [1, 1, 1, 1, 9, 3]])
+    behind = np.array([[1.0, 1, 2, 2, 1, 0], [1, 1, 2, 2, 1, 0], [1, 1, 2, 2, 1, 0]])
+    derivative = np.array([1.0, 1.5, 2.0, 1.5, 7.0, 3.0])
+    column = gradients.verdicts(derivative, gradients.Differences(ahead, behind), np.zeros(6), np.ones(6))
+    assert column.tolist() == ["right", "wrong", "kinks right", "kinks wrong", "unclear", "narrow"]
+    same = gradients.Differences(ahead[:, :2], ahead[:, :2])
     none = gradients.verdicts(np.array([np.nan, 1]), same, np.array([1, np.inf]), 1)
     assert none.tolist() == ["nan", "no margin"]
 
