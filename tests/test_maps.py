@@ -51,7 +51,10 @@ def scored(axes, cone=CONE):
     """The answers of `score` on arrays of the grid's states, in the grid's shape."""
     points = grid_of(axes)
     assert points.size <= STATES
-    out = jaxcap.score(cone, *points.states(np.resize(np.arange(points.size), STATES), np.float32))
+    index = np.resize(np.arange(points.size), STATES)
+    (coms, _), (_, velocities) = points.states(index, np.float64), points.states(index, np.float32)
+    with jax.enable_x64(False):   # positions come in double precision, and are rounded relative to the contacts
+        out = jaxcap.score(cone, coms, velocities)
     return jax.tree.map(lambda field: np.asarray(field)[: points.size].reshape(points.shape), out)
 
 

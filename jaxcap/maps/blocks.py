@@ -104,7 +104,7 @@ class Answers:
     ):
         self.grid, self.quantities, self.regions = grid, quantities, regions(grid)
         tables = grid.tables(np.float64)
-        self._speeds = tables.pop("speed", np.zeros(0)).astype(dtype) if grid.polar else None
+        self._speeds = _cast(tables.pop("speed", np.zeros(0)), dtype) if grid.polar else None
         self._names = tuple(tables)
         self._dims = tuple(name for name in grid.dims if name in (*self._names, *CONTACTS))
         self._sets = {name: size for name, size in self.regions.sizes.items() if name in CONTACTS}
@@ -181,9 +181,14 @@ def _about_contacts(cone: CentroidalCone | ConeRays, tables: dict[str, np.ndarra
     """Cone and tables on the device, with the contacts' centroid as the origin of positions: subtracted before they are
     cast."""
     origin = dict(zip(POSITION, np.asarray(cone.origin, np.float64), strict=True))
-    with np.errstate(over="ignore"):   # beyond the largest number there is infinity, and the states are marked
-        local = {name: jnp.asarray((values - origin.get(name, 0)).astype(dtype)) for name, values in tables.items()}
+    local = {name: jnp.asarray(_cast(values - origin.get(name, 0), dtype)) for name, values in tables.items()}
     return jax.tree.map(jnp.asarray, cone._replace(origin=np.zeros(3))), local
+
+
+def _cast(values: np.ndarray, dtype: DTypeLike) -> np.ndarray:
+    """Beyond the largest number there is infinity, and the states are marked."""
+    with np.errstate(over="ignore"):
+        return values.astype(dtype)
 
 
 def _equally_long(cones: Sequence[CentroidalCone | ConeRays]) -> list[CentroidalCone | ConeRays]:
