@@ -84,10 +84,10 @@ def test_directory_for_a_file(refused, tmp_path):
     refused("a.npz: not a file", states="a.npz")
 
 
-@pytest.mark.parametrize("name", ["states.csv", "states", "states.npy"])
+@pytest.mark.parametrize("name", ["states.txt", "states", "states.npy"])
 def test_unknown_extension(refused, tmp_path, name):
     (tmp_path / name).write_text("com")
-    refused(name, "unknown extension", ".parquet or .npz", states=name)
+    refused(name, "unknown extension", ".parquet, .npz or .csv", states=name)
 
 
 @pytest.mark.parametrize("extension", ["parquet", "npz"])
@@ -131,12 +131,14 @@ def test_wrong_length_of_fixed_lists(refused, tmp_path):
     refused("a.parquet: column 'com' holds 2 numbers a row (expected 3)", states="a.parquet")
 
 
-def test_wrong_length_of_one_list(refused, tmp_path):
+def test_wrong_length_of_one_list(tmp_path, capsys):
     rows = [[0.0, 0.0, 1.0]] * 20
     rows[13] = [0.0, 1.0]
     write_states(tmp_path / "a.parquet", 20, com=pa.array(rows))
-    refused("a.parquet: column 'com', row 13: 2 numbers (expected 3)", states="a.parquet", early=False,
-            options=["--batch-size", "5"])
+    out = tmp_path / "out.parquet"
+    assert main(command(tmp_path / "a.parquet", write_contacts(tmp_path / "feet.json"), out, "--batch-size", "5")) == 0
+    assert np.flatnonzero(read_columns(out)["status"] == Status.NONFINITE).tolist() == [13]
+    assert "first row 13: com has 2 numbers (expected 3)" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("column", [

@@ -26,6 +26,7 @@ from state_files import (
 )
 
 import jaxcap
+from jaxcap.commands import cli
 from jaxcap.commands.cli import main
 from jaxcap.files.fields import FIELDS
 from jaxcap.one_state.result import Case, Status
@@ -287,6 +288,44 @@ def test_a_signal_leaves_nothing(tmp_path, arguments, number, code):
     _, error = process.communicate(timeout=60)
     assert process.returncode == code and "Traceback" not in error
     assert sorted(os.listdir(tmp_path)) == ["feet.yaml", "states.npz"]
+
+
+LOST = SLOW.replace("    time.sleep(0.02)\n", """\
+    if len(calls) == 1:
+        class Callback:
+            def __del__(self):
+                time.sleep(60)   # a handler that raises here raises for nobody
+        Callback()
+    time.sleep(0.02)
+""")
+"""The same, at first in a place where Python drops exceptions, as it does in callbacks of libraries."""
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_signal_whose_exception_is_lost_still_ends_the_run(tmp_path, number, code):
+    """F9: or the run goes on to its end, and its exit code says 0."""
+    write_states(tmp_path / "states.npz", 500)
+    write_contacts(tmp_path / "feet.yaml")
+    arguments = command(tmp_path / "states.npz", tmp_path / "feet.yaml", tmp_path / "out.parquet", "--batch-size", "5")
+    root = Path(__file__).parents[1]
+    path = os.pathsep.join([str(root), str(root / "tests")])
+    process = subprocess.Popen([sys.executable, "-c", LOST, *arguments], text=True, stdout=subprocess.PIPE,
+                               stderr=subprocess.PIPE, env={**os.environ, "PYTHONPATH": path})
+    assert process.stdout.readline() == "scoring\n"
+    time.sleep(0.3)
+    process.send_signal(number)
+    error = process.communicate(timeout=50)[1]
+    assert process.returncode == code and "Traceback" not in error
+    assert sorted(os.listdir(tmp_path)) == ["feet.yaml", "states.npz"]
+
+
+def test_a_signal_leaves_without_taking_the_interpreter_down(monkeypatch):
+    """F9: threads inside XLA would meet an interpreter that is no more, and end the process by a segmentation fault."""
+    left = []
+    monkeypatch.setattr(cli, "_leave", left.append)
+    monkeypatch.setattr(cli, "_outcome", lambda arguments: 143)
+    assert main() == 143 and left == [143]
+    assert main([]) == 143 and left == [143]   # within a process of someone else
 
 
 def test_interrupt_in_process(monkeypatch, tmp_path, arguments, capsys):

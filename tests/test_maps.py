@@ -388,6 +388,21 @@ def test_an_interrupted_map_goes_on_to_the_same_bytes(tmp_path, monkeypatch, sma
     assert sorted(os.listdir(tmp_path)) == ["map.zarr", "whole.zarr"]
 
 
+@pytest.mark.parametrize("quantity", EVERY)
+def test_a_chunk_that_is_lost_holds_no_verdict(tmp_path, small, quantity):
+    """F2: -1 in codes, NaN in figures; a chunk of zeros is there, and no chunk is not zeros."""
+    write_map(tmp_path / "map.zarr", FEET, POINTS, EVERY)
+    with xr.open_dataset(tmp_path / "map.zarr", engine="zarr") as whole:
+        whole = whole[quantity].load()
+    chunk = next(file for file in sorted((tmp_path / "map.zarr" / quantity / "c").rglob("*")) if file.is_file())
+    chunk.unlink()
+    with xr.open_dataset(tmp_path / "map.zarr", engine="zarr") as found:
+        found = found[quantity].load()
+    lost = np.isnan(found.values) if found.dtype.kind == "f" else found.values == -1
+    there = np.isnan(whole.values) if whole.dtype.kind == "f" else whole.values == -1
+    assert lost.sum() > there.sum() and (lost | (found.values == whole.values)).all()
+
+
 def test_a_chunk_that_is_not_in_the_journal_is_written_again(tmp_path, monkeypatch, small):
     write_map(tmp_path / "whole.zarr", FEET, POINTS, EVERY)
     with monkeypatch.context() as patch:

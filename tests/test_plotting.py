@@ -151,11 +151,22 @@ def test_the_band_of_flat_ground_is_that_of_the_capture_point(cone):
         np.testing.assert_allclose(speed, sign * np.maximum(0, sign * (side - alpha) * OMEGA), atol=1e-6)
 
 
+@pytest.mark.parametrize("size", [(6.4, 4.8), (5, 5), (10, 4)])
+def test_the_names_of_the_axes_of_a_stance_are_in_the_figure(size):
+    """In axes of a figure without any layout."""
+    ax = Figure(figsize=size).add_subplot(projection="3d")
+    plotting.stance(FEET, [0, 0, HEIGHT], [0.3, 0, 0], ax=ax)
+    drawn(ax)
+    for axis in (ax.xaxis, ax.yaxis, ax.zaxis):
+        box, figure = axis.label.get_window_extent(), ax.figure.bbox
+        assert figure.x0 <= box.x0 and box.x1 <= figure.x1 and figure.y0 <= box.y0 and box.y1 <= figure.y1
+
+
 def test_both_pictures_name_axes_verdict_and_static_region(cone):
     for draw, unit in ((plotting.polygon, "[m/s$^2$]"), (plotting.phase_portrait, "[m/s]")):
         ax = draw(cone, [0.02, 0, HEIGHT], [0.2, 0, 0])
         margin = 0.08 * OMEGA - 0.2
-        assert ax.get_title() == f"capturable: C3_1, margin {margin:+.2f} m/s"
+        assert ax.get_title() == f"capturable: stops where it can stand, margin {margin:+.2f} m/s"
         assert "[m]" in ax.get_xlabel() and unit in ax.get_ylabel()
         np.testing.assert_allclose(line(ax, "static region"), [[-0.12, 0], [0.08, 0]], atol=1e-9)
 

@@ -64,6 +64,14 @@ OUT
   .nc    netCDF: has to fit into memory, and is written whole or not at all.
   Both open with xarray.open_dataset: dimensions in the order given, units, the
   contacts, gravity, sides and version as attributes. Angles are in radians.
+  In Zarr, a piece whose file is lost reads as NaN, and as -1 in capturable,
+  case and status, which are whole numbers there.
+
+NOTES
+  A line on stderr, and in the attribute notes, if most of the map is hardly
+  plausible: the CoM more than 10 m from all contacts or below all of them,
+  contacts more than 5 m apart, normals that all point away from the CoM. With
+  --strict that is an error, and nothing is written.
 
 COMPILING
   Takes seconds, once a run. With --cache DIR the programs are kept in DIR,
@@ -85,6 +93,7 @@ def map_kernel(
     dtype: Literal["float32", "float64"] = "float32",
     sides: int = 4,
     cache: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
+    strict: bool = False,
     force: bool = False,
 ) -> None:
     """Computes a map and writes it; see MAP.
@@ -99,9 +108,10 @@ def map_kernel(
         dtype: Precision of the computation and of the figures written.
         sides: Edges of the pyramid that replaces each friction cone, at least 3.
         cache: Keep compiled programs in this directory.
+        strict: What is hardly plausible is an error, not a note.
         force: Overwrite OUT if it exists.
     """
-    from jaxcap.maps.kernel import write_map
+    from jaxcap.maps.kernel import notes_of, write_map
 
     if sides < 3:
         raise InputError(f"--sides {sides} (expected at least 3)")
@@ -109,6 +119,9 @@ def map_kernel(
     given = named_values("--axis", axis, "NAME=VALUES, for example com_x=-0.4:0.4:201")
     axes = with_sets(stance, axes_around(given_sets(stance).values(), given))
     points = grid_of(axes)
+    notes = notes_of(list(given_sets(stance).values()), points)
+    if strict and notes:
+        raise InputError(f"--strict: {'; '.join(notes)}")
     start = time.perf_counter()
     try:
         with jax.enable_x64(dtype == "float64"), compilation_cache(cache):
@@ -119,8 +132,9 @@ def map_kernel(
             print(f"note: the same command goes on where this one ended ({output}.partial)", file=sys.stderr)
         raise
     seconds = time.perf_counter() - start
-    if coarse := rounding(np.array([[np.abs(points.axes[name]).max() for name in POSITION]], dtype)):
-        print(f"note: {output}: {coarse}", file=sys.stderr)
+    coarse = rounding(np.array([[np.abs(points.axes[name]).max() for name in POSITION]], dtype))
+    for note in filter(None, (*notes, coarse)):
+        print(f"note: {output}: {note}", file=sys.stderr)
     extent = " x ".join(f"{name} {size}" for name, size in zip(points.dims, points.shape, strict=True)) or "one point"
     before = f"; {points.size - computed} were there" if computed < points.size else ""
     rate = f"{computed / seconds:.3g} states/s ({seconds:.2f} s with compiling; {dtype}, {jax.default_backend()})"

@@ -5,7 +5,7 @@ import time
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 import jax
 import numpy as np
@@ -18,10 +18,12 @@ from jaxcap.commands.summary import Summary, rounding
 from jaxcap.contacts.contact_set import ContactSet
 from jaxcap.contacts.conventions import GRAVITY
 from jaxcap.errors import InputError
+from jaxcap.files.bad_rows import BadRows
 from jaxcap.files.columns import StateBatch, describe, refuse_clashes
-from jaxcap.files.contact_columns import CHOICE, POINTS, BadRows, RowContacts
+from jaxcap.files.contact_columns import CHOICE, POINTS, RowContacts
 from jaxcap.files.contact_files import ContactSets, read_contact_sets
 from jaxcap.files.fields import BASELINES, FIELDS
+from jaxcap.files.plausibility import Plausibility, some
 from jaxcap.files.records import ScoreWriter, read_states, write_scores
 from jaxcap.files.state_file import StateFile
 from jaxcap.files.whole_file import check_output
@@ -44,6 +46,7 @@ def score(
     baselines: bool = False,
     height: Annotated[float | None, tyro.conf.arg(metavar="H")] = None,
     cache: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
+    strict: bool = False,
     force: bool = False,
 ) -> None:
     """Scores a file of states, writes the answers beside them and prints a summary; see SCORE.
@@ -51,7 +54,7 @@ def score(
     Raises InputError before anything is computed if an option, a file or a column cannot be used, and MissingExtra.
 
     Args:
-        states: File of states, .parquet or .npz.
+        states: File of states, .parquet, .npz or .csv.
         output: File to write, .parquet or .npz.
         contacts: File of contacts, .yaml or .json; not needed if STATES has them.
         dtype: Precision of the computation and of the figures written.
@@ -61,6 +64,7 @@ def score(
         baselines: Also write how far the capture point lies inside support polygon and hull of the contacts.
         height: CoM height for the capture point [m]; by default that above the contacts of each row.
         cache: Keep compiled programs in this directory.
+        strict: What is hardly plausible is an error, not a note.
         force: Overwrite OUT if it exists.
     """
     _check_options(sides, batch_size, baselines, height)
@@ -78,13 +82,15 @@ def score(
         scorer = scorer_of(described, contacts, size, sides, neighbours)
         answer = partial(_answered, scorer, baselines=baselines, height=height)
         metadata = describe(described, GRAVITY, sides, np.dtype(dtype), fields, **more)
-        with write_scores(output, source.types, metadata, dtype, fields=fields, force=force) as sink:
-            done = _score_all(answer, source, sink)
-    for note in done.notes:
+        run = _Run(answer, scorer, strict)
+        options: dict[str, Any] = {"fields": fields, "about": source.about, "force": force}
+        with write_scores(output, source.types, metadata, dtype, **options) as sink:
+            run.all(source, sink)
+    for note in run.notes():
         print(f"note: {states}: {note}", file=sys.stderr)
-    print(done.summary.table())
-    rate = f"{done.summary.states / done.seconds:.3g} states/s" if done.summary.states else "no states"
-    print(f"\n{rate} ({done.seconds:.2f} s, after {done.compiled:.2f} s of compiling; {dtype}, {jax.default_backend()})")
+    print(run.summary.table())
+    rate = f"{run.summary.states / run.seconds:.3g} states/s" if run.summary.states else "no states"
+    print(f"\n{rate} ({run.seconds:.2f} s, after {run.compiled:.2f} s of compiling; {dtype}, {jax.default_backend()})")
 
 
 def _check_options(sides: int, batch_size: int, baselines: bool, height: float | None) -> None:
@@ -138,35 +144,68 @@ def _answered(scorer: Scorer, batch: StateBatch, baselines: bool, height: float 
     return _Answered(scores, beside, bad, time.perf_counter() - start)
 
 
-class _Run(NamedTuple):
-    """What there is to say at the end."""
+class _Unusable:
+    """Counts rows that cannot be used, of all batches."""
 
-    summary: Summary
-    seconds: float
-    """Time spent scoring [s]."""
-    compiled: float
-    """Time spent compiling [s]."""
-    notes: tuple[str, ...]
-    """How many rows have contacts that cannot be used, and why the first; that positions are rounded. Perhaps none."""
+    def __init__(self, what: str):
+        self._what, self._n, self._first = what, 0, ""
+
+    def add(self, bad: BadRows, start: int) -> None:
+        """Takes a batch that begins with this row of the file."""
+        self._n += int(bad.rows.sum())
+        if bad.first is not None:
+            self._first = self._first or f"first row {start + bad.first}: {bad.why}"
+
+    def note(self) -> str:
+        """How many there are, and why the first; nothing if there is none."""
+        if not self._n:
+            return ""
+        return f"{self._what} of {self._n} rows cannot be used, these have status nonfinite; {self._first}"
 
 
-def _score_all(answer: Callable[[StateBatch], _Answered], source: StateFile, sink: ScoreWriter) -> _Run:
-    """Scores and writes every batch."""
-    summary, seconds, compiled, widest, unusable, first, coarse = Summary(), 0.0, 0.0, -1, 0, "", ""
-    with tqdm(total=source.rows, unit=" states", unit_scale=True, disable=None) as bar:
-        for batch in source:
-            width = batch.contacts.mask.shape[1] if isinstance(batch.contacts, RowContacts) else 0
-            if width > widest:  # compiles, by scoring states that are soon done with
-                widest = width
-                compiled += answer(batch._replace(coms=np.full_like(batch.coms, np.nan))).seconds
-            scores, beside, bad, spent = answer(batch)
-            seconds += spent
-            if bad.first is not None:
-                first = first or f"first row {summary.states + bad.first}: {bad.why}"
-                unusable += int(bad.rows.sum())
-            sink.write(batch.columns, scores, *beside)
-            summary.add(scores)
-            coarse = coarse or rounding(batch.coms)
-            bar.update(len(batch.coms))
-    without = f"the contacts of {unusable} rows cannot be used, these have status nonfinite; {first}" if unusable else ""
-    return _Run(summary, seconds, compiled, tuple(filter(None, (without, coarse))))
+class _Run:
+    """Scores and writes every batch, and keeps what there is to say at the end."""
+
+    def __init__(self, answer: Callable[[StateBatch], _Answered], scorer: Scorer, strict: bool):
+        self._answer, self._scorer, self._strict = answer, scorer, strict
+        self.summary = Summary()
+        self.seconds, self.compiled = 0.0, 0.0
+        """Time spent scoring, and compiling [s]."""
+        self._states, self._contacts = _Unusable("the states"), _Unusable("the contacts")
+        self._plausible, self._coarse = Plausibility(), ""
+
+    def all(self, source: StateFile, sink: ScoreWriter) -> None:
+        """Scores a file. Raises InputError for what is hardly plausible, if that is asked for."""
+        widest = -1
+        with tqdm(total=source.rows, unit=" states", unit_scale=True, disable=None) as bar:
+            for batch in source:
+                width = batch.contacts.mask.shape[1] if isinstance(batch.contacts, RowContacts) else 0
+                if width > widest:  # compiles, by scoring states that are soon done with
+                    widest = width
+                    self.compiled += self._answer(batch._replace(coms=np.full_like(batch.coms, np.nan))).seconds
+                self._look(batch)
+                sink.write(batch.columns, *self._scored(batch))
+                bar.update(len(batch.coms))
+        sink.remark(self.notes())
+
+    def _look(self, batch: StateBatch) -> None:
+        """What the batch is like: whether it is plausible, and whether single precision rounds it."""
+        rows = some(len(batch.coms))
+        self._plausible.add(self._scorer.stand(batch.contacts, len(batch.coms), rows), batch.coms[rows])
+        self._coarse = self._coarse or rounding(batch.coms)
+        if self._strict and self._plausible.notes():
+            raise InputError(f"--strict: {'; '.join(self._plausible.notes())}")
+
+    def _scored(self, batch: StateBatch) -> tuple[Capturability | Baselines, ...]:
+        scores, beside, unusable, spent = self._answer(batch)
+        self.seconds += spent
+        self._states.add(batch.bad, self.summary.states)
+        self._contacts.add(unusable, self.summary.states)
+        self.summary.add(scores)
+        return scores, *beside
+
+    def notes(self) -> tuple[str, ...]:
+        """Lines for stderr and the output's metadata. Perhaps none."""
+        empty = "" if self.summary.states else "no rows: there is nothing to score"
+        found = (empty, self._states.note(), self._contacts.note(), self._coarse, *self._plausible.notes())
+        return tuple(filter(None, found))

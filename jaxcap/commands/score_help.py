@@ -8,11 +8,12 @@ EXAMPLES
   jaxcap score walk.parquet --contacts feet.yaml -o scores.parquet
   jaxcap score steps.parquet -o scores.parquet      # with columns of contacts
 
-STATES is Parquet (.parquet) or NPZ (.npz), with one row for each state:
+STATES is Parquet (.parquet), NPZ (.npz) or CSV (.csv); for each state, a row:
     com            3 numbers   centre of mass [m]
     com_velocity   3 numbers   its velocity [m/s]
   Floats or integers; in Parquet a column of lists, in NPZ an array (n, 3). Or
-  one column for each axis: com_x, com_y, com_z, com_velocity_x, and so on.
+  one column for each axis: com_x, com_y, com_z, com_velocity_x, and so on; in
+  CSV always.
   All in one inertial frame with z up, the frame of the contacts as well.
   Other columns are carried through. The file is read in pieces and may be
   larger than memory.
@@ -65,15 +66,23 @@ _REST = """
   that above the mean of the row's contact points; where it is not positive
   there is no capture point, and both columns are NaN.
   Its metadata holds units, conventions, the names of the numbers, contacts,
-  gravity and version, as JSON: the key jaxcap of a Parquet schema, the array
-  metadata of an NPZ. OUT is written whole or not at all.
+  gravity, version and notes, as JSON: the key jaxcap of a Parquet schema, the
+  array metadata of an NPZ. The index of a pandas frame stays what it is. OUT
+  is written whole or not at all.
 
 BAD ROWS
-  A state with NaN, infinity or a null gets the status nonfinite and no
-  figures; the others are not affected. Contacts that cannot be used make a bad
-  row too: a number that is not finite, a frame that is not a rotation, friction
-  that is not positive, a set that is not there, lists that do not match. A note
-  says how many there are, and what is wrong with the first (rows from 0).
+  A state with NaN, infinity, a null or a list that does not hold 3 numbers
+  gets the status nonfinite and no figures; the others are not affected.
+  Contacts that cannot be used make a bad row too: a number that is not finite,
+  a frame that is not a rotation, friction that is not positive, a set that is
+  not there, lists that do not match. A note says how many there are, and what
+  is wrong with the first (rows from 0).
+
+NOTES
+  A line on stderr, and in the metadata, if most rows are hardly plausible: the
+  CoM more than 10 m from all contacts or below all of them, contacts more than
+  5 m apart, normals that all point away from the CoM. With --strict that is an
+  error, and nothing is written.
 
 TABLE
   At the end: counts of cases and statuses, quantiles of the margin (to within

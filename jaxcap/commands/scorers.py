@@ -21,8 +21,10 @@ from jaxcap.contacts.contact_set import ContactSet
 from jaxcap.contacts.conventions import GRAVITY, ArrayLike
 from jaxcap.contacts.projection import ProjectionError
 from jaxcap.errors import InputError
-from jaxcap.files.contact_columns import CHOICE, MULTIPLE, BadRows, RowChoices, RowContacts
+from jaxcap.files.bad_rows import BadRows
+from jaxcap.files.contact_columns import CHOICE, MULTIPLE, RowChoices, RowContacts
 from jaxcap.files.contact_files import ContactSets
+from jaxcap.files.plausibility import Stand
 from jaxcap.numerics.whole import round_up
 from jaxcap.one_state.result import Capturability
 from jaxcap.regions.capture_point import Baselines
@@ -76,6 +78,10 @@ class Scorer(ABC):
 
         contacts: from `StateBatch.contacts`. dtype: of the states.
         """
+
+    @abstractmethod
+    def stand(self, contacts: Any, n: int, rows: slice) -> Stand:
+        """The contacts of these rows of a batch of n, wherever they can be used."""
 
     def score(
         self, contacts: Any, coms: Float[np.ndarray, "n 3"], com_velocities: Float[np.ndarray, "n 3"]
@@ -165,6 +171,9 @@ class OneSet(Scorer):
     def _parts(self, contacts: None, dtype: np.dtype, n: int) -> tuple[list[Part], BadRows]:
         return [Part(np.arange(n), self._cone, self._contacts)], BadRows(n)
 
+    def stand(self, contacts: None, n: int, rows: slice) -> Stand:
+        return _stand(jax.tree.map(lambda x: np.repeat(x[None], len(range(n)[rows]), axis=0), self._contacts))
+
 
 class OwnContacts(Scorer):
     """Scores batches of rows with contacts of their own, by rays; see `Scorer` for the arguments."""
@@ -180,6 +189,9 @@ class OwnContacts(Scorer):
         fields = [x if x.dtype == bool else x.astype(dtype, copy=False) for x in fields]
         sets = ContactSet.unchecked(*fields)
         return [Part(np.arange(n), _rays(sets, self._sides), sets)], bad
+
+    def stand(self, contacts: RowContacts, n: int, rows: slice) -> Stand:
+        return Stand(contacts.points[rows], contacts.frames[rows, ..., 2], contacts.mask[rows])
 
 
 class SharedSets(Scorer):
@@ -220,6 +232,11 @@ class SharedSets(Scorer):
             known, expected = found >= 0, _listed(self._numbers)
         bad.add(~known, lambda row: f"{CHOICE} = {choices.shown(row)} (expected {expected})")
         return np.where(bad.rows, 0, found).astype(np.int64), bad
+
+    def stand(self, choices: RowChoices, n: int, rows: slice) -> Stand:
+        numbers, bad = self.choose(choices)
+        chosen = jax.tree.map(lambda x: x[numbers[rows]], self._stacked)
+        return _stand(chosen)._replace(mask=chosen.mask & ~bad.rows[rows, None])
 
     def _parts(self, choices: RowChoices, dtype: np.dtype, n: int) -> tuple[list[Part], BadRows]:
         """The rows of each set that many choose, and the rest."""
@@ -270,6 +287,12 @@ def scorer_of(
     if isinstance(contacts, ContactSets):
         return SharedSets(contacts.sets, contacts.names, sides, neighbours=neighbours)
     return OwnContacts(sides, neighbours=neighbours)
+
+
+def _stand(contacts: ContactSet) -> Stand:
+    """A batch of contact sets, as plausibility looks at them."""
+    points, frames, mask = (np.asarray(field) for field in (contacts.points, contacts.frames, contacts.mask))
+    return Stand(points, frames[..., 2], mask)
 
 
 def _in_order(parts: list[Part], outs: list) -> Any:

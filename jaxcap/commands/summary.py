@@ -88,8 +88,9 @@ class Summary:
         lines += ["", "status"]
         lines += [self._line(f"  {status.name.lower()}", STATUSES[status], n) for status, n in self.statuses.items()]
         lines += ["", f"margin [m/s], of {len(self.margin)} states"]
-        lines += ["  " + "".join(f"{share:>10.0%}" for share in QUANTILES)]
-        lines += ["  " + "".join(f"{self.margin(share):>10.3g}" for share in QUANTILES)]
+        if len(self.margin):
+            lines += ["  " + "".join(f"{share:>10.0%}" for share in QUANTILES)]
+            lines += ["  " + "".join(f"{self.margin(share):>10.3g}" for share in QUANTILES)]
         return "\n".join(lines)
 
     def _line(self, name: str, words: str, n: int) -> str:

@@ -10,11 +10,11 @@ from jaxtyping import Bool, Float, Int
 
 from jaxcap.errors import InputError
 from jaxcap.files.arrow_columns import is_list, is_number, numbers
+from jaxcap.files.bad_rows import BadRows
 from jaxcap.files.contact_columns import (
     INNER,
     MASK,
     MOST,
-    BadRows,
     Padded,
     RowChoices,
     RowContacts,

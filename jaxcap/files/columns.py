@@ -11,6 +11,7 @@ from numpy.typing import DTypeLike
 
 from jaxcap.contacts.contact_set import ContactSet
 from jaxcap.errors import InputError
+from jaxcap.files.bad_rows import BadRows
 from jaxcap.files.contact_columns import POINTS, RowChoices, RowContacts
 from jaxcap.files.contact_files import ContactSets
 from jaxcap.files.fields import FIELDS, NAMES, Field
@@ -29,6 +30,8 @@ class StateBatch(NamedTuple):
     """CoM velocities [m/s]."""
     columns: Mapping[str, Any]
     """Every column as it was read, the two above included: NumPy arrays, or Arrow arrays where the file is Parquet."""
+    bad: BadRows
+    """Rows whose CoM or velocity is not there, or not finite."""
     contacts: RowContacts | RowChoices | None = None
     """What the columns say about the contacts of each row, if there are such columns."""
 

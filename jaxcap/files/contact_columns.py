@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float, Shaped
 
 from jaxcap.contacts.conventions import ROTATION_ERROR
 from jaxcap.errors import InputError
+from jaxcap.files.bad_rows import BadRows
 from jaxcap.numerics.whole import round_up
 
 OWN = POINTS, FRAMES, FRICTION, MASK = ("contact_points", "contact_frames", "contact_friction", "contact_mask")
@@ -27,24 +28,6 @@ MULTIPLE = 4
 
 MOST = 64
 """Most contacts of a row: one long list pads all rows of its batch, and memory shall stay bounded."""
-
-
-class BadRows:
-    """Which rows of a batch have contacts that cannot be used, and why the first of them."""
-
-    def __init__(self, n: int):
-        self.rows = np.zeros(n, dtype=bool)
-        self.first: int | None = None
-        self.why = ""
-
-    def add(self, wrong: Bool[np.ndarray, " n"], why: Callable[[int], str]) -> None:
-        """Adds rows. why: the reason for one of them; only that of the first is asked for. Rows added before stay."""
-        new = wrong & ~self.rows
-        if new.any():
-            row = int(np.argmax(new))
-            if self.first is None or row < self.first:
-                self.first, self.why = row, why(row)
-            self.rows |= new
 
 
 class Padded(NamedTuple):

@@ -3,7 +3,6 @@
 import math
 import tempfile
 import zipfile
-import zlib
 from collections.abc import Generator, Iterator, Mapping
 from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
@@ -14,6 +13,7 @@ from jaxtyping import Float
 from numpy.lib import format as npy
 
 from jaxcap.errors import InputError
+from jaxcap.files.bad_rows import BadRows
 from jaxcap.files.columns import METADATA, VECTORS, StateBatch, refuse_clashes, spelling, to_json
 from jaxcap.files.contact_columns import (
     CHOICE,
@@ -115,8 +115,11 @@ class NpzStates(StateFile):
             streams = [stack.enter_context(closing(self._stream(m))) for m in self._members.values()]
             for pieces in zip(*streams, strict=True):
                 columns = dict(zip(self._members, pieces, strict=True))
+                bad = BadRows(len(pieces[0]))
                 com, com_velocity = (self._vector(columns, names) for names in self._vectors.values())
-                yield StateBatch(com, com_velocity, columns, self._row_contacts(columns))
+                for names, vectors in zip(self._vectors.values(), (com, com_velocity), strict=True):
+                    bad.add_not_finite(names, vectors)
+                yield StateBatch(com, com_velocity, columns, bad, self._row_contacts(columns))
 
     def _row_contacts(self, columns: Mapping[str, np.ndarray]) -> RowContacts | RowChoices | None:
         if not self.contacts:
@@ -178,11 +181,7 @@ class NpzWriter:
         """Appends rows. columns: one array for each of `types`, all with the same number of rows."""
         for name, spool in self._spools.items():
             column = columns[name]
-            if not isinstance(column, np.ndarray):
-                from jaxcap.files.arrow_columns import to_numpy
-
-                column = to_numpy(column, f"column {name!r}")
-            spool.append(column)
+            spool.append(column if isinstance(column, np.ndarray) else _to_numpy(name, column))
 
     def finish(self) -> None:
         """Assembles the archive. The caller flushes and closes the handle."""
@@ -258,11 +257,11 @@ def _readable(path: Path) -> Iterator[None]:
     """Turns what a damaged archive raises into InputError."""
     try:
         yield
-    except InputError:
+    except (InputError, MemoryError):
         raise
-    except (OSError, EOFError, ValueError, RuntimeError, zipfile.BadZipFile, zlib.error) as error:
+    except Exception as error:   # NumPy's and zipfile's parsers raise whatever their tools do: tokenize, struct, zlib, ast
         reason = error.strerror if isinstance(error, OSError) and error.strerror else error
-        raise InputError(f"{path}: cannot be read as NPZ: {reason}") from error
+        raise InputError(f"{path}: cannot be read as NPZ: {str(reason) or type(error).__name__}") from error
 
 
 def _member(archive: zipfile.ZipFile, name: str) -> IO[bytes]:
@@ -270,6 +269,18 @@ def _member(archive: zipfile.ZipFile, name: str) -> IO[bytes]:
 
 
 def _from_arrow(field: Any) -> np.dtype:
-    from jaxcap.files.arrow_columns import numpy_type
+    """The NumPy type of an Arrow column. A vector has three entries, whatever its type says of lengths."""
+    from jaxcap.files.arrow_columns import is_ragged, numpy_type, vector_type
 
+    if field.name in VECTORS and is_ragged(field.type):
+        return np.dtype((vector_type(field.type), (3,)))
     return numpy_type(field.type, f"column {field.name!r}")
+
+
+def _to_numpy(name: str, column: Any) -> np.ndarray:
+    """An Arrow column as an array of that type."""
+    from jaxcap.files.arrow_columns import is_ragged, to_numpy, vector_type, vectors
+
+    if name in VECTORS and is_ragged(column.type):
+        return vectors(column, vector_type(column.type))
+    return to_numpy(column, f"column {name!r}")

@@ -1,9 +1,10 @@
 """An open file of states, whatever its format."""
 
 from abc import abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -25,6 +26,8 @@ class StateFile(AbstractContextManager["StateFile"]):
     """The columns that are carried through: NumPy types, or Arrow fields."""
     skipped: Sequence[str] = ()
     """Arrays that are not, because they do not hold one value for each state."""
+    about: Mapping[bytes, bytes] = MappingProxyType({})
+    """What the file says of itself and the output should say again: how pandas makes the index of its frame, for one."""
     contacts: tuple[str, ...]
     """Names of the columns that give each row its contacts, or its set of a contacts file; see `contact_columns`."""
 

@@ -18,13 +18,15 @@ import numpy as np
 from numpy.typing import DTypeLike
 
 from jaxcap.contacts.cone import CentroidalCone, ConeRays, centroidal_cone
+from jaxcap.contacts.contact_set import ContactSet
 from jaxcap.contacts.conventions import GRAVITY, ArrayLike
 from jaxcap.errors import InputError, needs_extra
 from jaxcap.files.fields import FIELDS, output_types
+from jaxcap.files.plausibility import Plausibility, Stand
 from jaxcap.files.whole_file import check_output, whole_file
 from jaxcap.maps.blocks import Answers, regions
 from jaxcap.maps.contact_axes import Contacts, contact_sets, given_sets, with_sets
-from jaxcap.maps.grid import CARTESIAN, Grid, grid_of
+from jaxcap.maps.grid import CARTESIAN, POSITION, Grid, grid_of
 from jaxcap.one_state.decision import LIMITS
 from jaxcap.version import __version__
 
@@ -102,6 +104,9 @@ def write_map(
     A Zarr map grows in the directory PATH.partial and takes its name when it is complete; when the same call finds that
     directory, it goes on where the other ended, however that was. The bytes are the same in the end. A netCDF map has to fit
     into memory, and is written whole or not at all.
+
+    In Zarr `capturable` is int8, 0 or 1: a piece whose file is lost reads as -1 there and in case and status, as NaN in
+    figures.
 
     Args:
         path: Map to write.
@@ -210,6 +215,7 @@ def _prepared(
     answers = Answers(cones, asked.grid, asked.quantities, gravity, asked.dtype)
     dims = asked.grid.dims
     over = f" over {', '.join(dims)}" if dims else ""
+    notes = notes_of(list(given_sets(cone).values()), asked.grid)
     attributes = {
         "title": f"zero-step capturability{over}: {', '.join(asked.quantities)}",
         "source": f"jaxcap {__version__}",
@@ -217,6 +223,7 @@ def _prepared(
         "gravity": gravity.tolist(),
         "dtype": asked.dtype.name,
         **origin,
+        **({"notes": "; ".join(notes)} if notes else {}),
     }
     types = output_types(asked.dtype)
     steps = answers.regions.steps
@@ -239,6 +246,17 @@ def _prepared(
         "jax": f"{jax.__version__} on {jax.default_backend()}",
     }
     return answers, _About(coordinates(asked.grid, given_sets(cone), attributes), variables, settings)
+
+
+def notes_of(sets: Sequence[ContactSet], points: Grid) -> tuple[str, ...]:
+    """What is hardly plausible about most of the map: its CoM positions at the quartiles of their axes, with each set."""
+    quartiles = [np.quantile(points.axes[name], [0.25, 0.5, 0.75]) for name in POSITION]
+    coms = np.stack(np.meshgrid(*quartiles), axis=-1).reshape(-1, 3)
+    plausible = Plausibility()
+    for contacts in sets:
+        fields = contacts.points, contacts.frames[..., 2], contacts.mask
+        plausible.add(Stand(*(np.repeat(np.asarray(field)[None], len(coms), axis=0) for field in fields)), coms)
+    return plausible.notes("of the map")
 
 
 def _cones(

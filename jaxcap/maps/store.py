@@ -24,6 +24,8 @@ from jaxcap.errors import InputError
 from jaxcap.files.whole_file import refuse_late_comer, temporary_beside, write_errors_of
 
 MAP, SETTINGS, JOURNAL = "map.zarr", "settings.json", "journal"
+ABSENT = -1
+"""What codes are where a chunk is lost; `Case.UNDECIDED`, and no `Status`."""
 
 
 class Variable(NamedTuple):
@@ -159,21 +161,32 @@ def _make(path: Path, coordinates: xr.Dataset, variables: Mapping[str, Variable]
     coordinates.to_zarr(path, mode="w", zarr_format=3, consolidated=False)
     group = zarr.open_group(path, mode="r+")
     for name, variable in variables.items():
+        kind = _stored(variable.dtype)
         group.create_array(
             name,
             shape=variable.shape,
             chunks=variable.chunks,
-            dtype=variable.dtype,
+            dtype=kind,
             dimension_names=variable.dims,
             attributes={key: value.tolist() if isinstance(value, np.ndarray) else value
-                        for key, value in variable.attributes.items()},
-            fill_value=np.nan if variable.dtype.kind == "f" else 0,
-            compressors=BloscCodec(cname="zstd", clevel=1, shuffle="bitshuffle", typesize=variable.dtype.itemsize),
+                        for key, value in {**variable.attributes, **_of_booleans(variable.dtype)}.items()},
+            fill_value=np.nan if kind.kind == "f" else ABSENT,
+            compressors=BloscCodec(cname="zstd", clevel=1, shuffle="bitshuffle", typesize=kind.itemsize),
             config={"write_empty_chunks": False},
         )
     with warnings.catch_warnings():   # format 3 has no word for it yet; xarray warns of its absence
         warnings.filterwarnings("ignore", message="Consolidated metadata")
         zarr.consolidate_metadata(path)
+
+
+def _stored(dtype: np.dtype) -> np.dtype:
+    """The type in the file: where a chunk is lost, no verdict may stand, and a boolean has no third value."""
+    return np.dtype(np.int8) if dtype.kind == "b" else dtype
+
+
+def _of_booleans(dtype: np.dtype) -> dict[str, Any]:
+    """What booleans that became codes say of themselves, in the words of the CF conventions."""
+    return {"flag_values": [0, 1], "flag_meanings": "no yes"} if dtype.kind == "b" else {}
 
 
 def _publish(source: Path, path: Path, force: bool) -> None:

@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Num
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgba
 from matplotlib.patches import Patch
@@ -101,13 +102,16 @@ def velocity_areas(
         _draw(ax, one, com, scale, longest, color, label if i == 0 else None)
     standing = np.asarray(areas.standing)
     style: dict[str, Any] = {"linestyle": "none", "marker": "o", "markersize": 4, "zorder": 8, "markeredgecolor": DARK}
-    ax.plot(*coms[standing].T, color=DARK, **style)
-    ax.plot(*coms[~standing].T, color="white", **style)
+    handles: list[Artist] = []
+    for which, shade, meaning in ((standing, DARK, "CoM, can stand"), (~standing, "white", "CoM, cannot stand")):
+        dots = ax.plot(*coms[which].T, color=shade, label=meaning, **style)
+        handles += dots if which.any() else []
     ax.set(aspect="equal", xlabel="CoM position x [m]", ylabel="CoM position y [m]")
     _scale_bar(ax, scale, longest)
     if (np.asarray(areas.max_speed) > longest).any():
-        beyond = Patch(facecolor=to_rgba(color, 0.45), edgecolor=color, linewidth=0, hatch=BEYOND, label="faster than shown")
-        ax.legend(handles=[beyond], loc="upper right")
+        look: dict[str, Any] = {"facecolor": to_rgba(color, 0.45), "edgecolor": color, "linewidth": 0, "hatch": BEYOND}
+        handles.append(Patch(label="faster than shown", **look))
+    ax.legend(handles=handles, loc="upper right", framealpha=0.9).set_zorder(9)
     return ax
 
 

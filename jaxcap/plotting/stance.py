@@ -29,6 +29,8 @@ LABELS = 7
 """Between the numbers and the name of an axis [points]."""
 CORNER = 0.1
 """Share of x and y that has no numbers at either end, where those of the other stand."""
+SMALLER = 0.85
+"""Zoom in axes that were given: no layout may make room for the names of the axes, which then end outside of the figure."""
 TALLEST = 1.5
 """Half width of a pyramid, relative to its height, beyond which it is drawn smaller."""
 
@@ -80,7 +82,7 @@ def stance(
     _draw_contacts(axes, contacts, sides, size)
     if place is not None:
         _draw_state(axes, place, tip, ground, scale)
-    _window(axes, np.concatenate([shown, region]), size)
+    _window(axes, np.concatenate([shown, region]), size, 1.0 if ax is None else SMALLER)
     axes.legend(loc="upper left", bbox_to_anchor=(-0.12, 1.05))
     return axes
 
@@ -123,8 +125,8 @@ def _draw_state(
         ax.quiver(*com, *(tip - com), color=RED, linewidth=2.5, arrow_length_ratio=0.25, label=f"velocity, {speed:.2f} m/s")
 
 
-def _window(ax: Axes3D, shown: Float[np.ndarray, "n 3"], size: float) -> None:
-    """Limits around what there is to see, to scale, with numbers that keep clear of each other."""
+def _window(ax: Axes3D, shown: Float[np.ndarray, "n 3"], size: float, zoom: float) -> None:
+    """Limits around what there is to see, to scale, with numbers that keep clear of each other. zoom: of the box."""
     low, high = shown.min(axis=0), shown.max(axis=0)
     middle, half = (low + high) / 2, np.maximum((high - low) / 2 * ROOM, size * THINNEST / 2)
     for axis, name, centre, length in zip((ax.xaxis, ax.yaxis, ax.zaxis), "xyz", middle, half, strict=True):
@@ -133,6 +135,7 @@ def _window(ax: Axes3D, shown: Float[np.ndarray, "n 3"], size: float) -> None:
         axis.set_ticks(ticks[np.abs(ticks - centre) < (1 if name == "z" else 1 - CORNER) * length])
         axis.labelpad = LABELS
     ax.set_aspect("equal")
+    ax.set_box_aspect(half, zoom=zoom)   # the same shape, smaller
 
 
 def _pyramids(contacts: ContactSet, sides: int, height: float) -> list[Float[np.ndarray, "3 3"]]:

@@ -10,6 +10,7 @@ from jaxtyping import Array, Float, Int8, Shaped
 from jaxcap.batch.blocks import ROWS
 from jaxcap.contacts.cone import CentroidalCone
 from jaxcap.contacts.conventions import ArrayLike, FloatArray
+from jaxcap.files.fields import CASES
 from jaxcap.numerics.guarded import direction, root
 from jaxcap.numerics.whole import round_up
 from jaxcap.one_state.boundary import Boundary, End
@@ -70,9 +71,9 @@ class Travel(NamedTuple):
     def verdict(self) -> str:
         """The answer in one line."""
         if self.case == Case.UNDECIDED:
-            return f"undecided: {Status(int(self.out.status)).name}"
+            return f"{CASES[self.case]}: {Status(int(self.out.status)).name.lower()}"
         said = "capturable" if self.out.capturable else "not capturable"
-        return f"{said}: {self.case.name}, margin {float(self.out.margin):+.2f} m/s"
+        return f"{said}: {CASES[self.case]}, margin {float(self.out.margin):+.2f} m/s"
 
     def region(self) -> Float[np.ndarray, "k 2"]:
         """Vertices of the polygon, as far as it is shown and a little farther; perhaps none."""
