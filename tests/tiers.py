@@ -96,11 +96,11 @@ QUICK: dict[str, tuple[str, ...]] = {
     "test_export.py": ("test_what_cannot_be_exported",),
     "test_gradients.py": ("test_gradient_of_the_margin_is_never_nan[float64",),
     "test_inputs.py": (
+        "test_far_from_the_origin_as_near_it[False-faces",
         "test_gravity_as_a_number",
         "test_contacts_in_place_of_a_cone",
         "test_an_answer_in_a_line",
         "test_answers_as_a_frame",
-        "test_far_from_the_origin_as_near_it[False-faces",
     ),
     "test_kernel_checks.py": ("test_kernel_of_a_foot_on_the_ground",),
     "test_maps.py": (
