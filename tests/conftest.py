@@ -11,8 +11,8 @@ KEPT = Path(__file__).resolve().parents[1] / ".jax_cache"
 """Compiled programs, for the next run and for the processes that tests start; may be deleted at any time."""
 MOST_KEPT = 4e9
 """When the folder is larger, it is begun anew [bytes]."""
-MOST_MAPS = 20_000
-"""Of memory, in one process: every program takes some, Linux allows 65,530, and all programs together take 10 GB."""
+MOST_MAPS = 10_000
+"""Of memory, in one process (about 2 GB): every program takes some, Linux allows 65,530, and all programs take 10 GB."""
 
 WORTH_KEEPING = 0.1
 """Programs that take longer to compile are kept [s]."""
