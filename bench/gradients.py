@@ -143,8 +143,9 @@ def verdicts(derivative, found: Differences, middle, scale) -> np.ndarray:
         resolved, same = alike(a1, a2) & alike(b1, b2), alike(a2, b2)
         right = alike(derivative, (a2 + b2) / 2)
         one_side = alike(derivative, a2) | alike(derivative, b2)
-        roughly = lambda other: np.abs(derivative - other) <= ROUGHLY * np.maximum(np.abs(derivative), scale * ALIKE)
-        narrow = roughly(a3) | roughly(b3) | (np.abs(a3 - b3) > ROUGHLY * np.maximum(scale * ROUGHLY, np.abs(a3)))
+        roughly = lambda a, b: np.abs(a - b) <= ROUGHLY * np.maximum(np.maximum(np.abs(a), np.abs(b)), ROUGHLY * scale)
+        more = ~roughly(a3, a2) | ~roughly(b3, b2)  # is seen with the narrow step
+        narrow = more & (roughly(derivative, a3) | roughly(derivative, b3) | ~roughly(a3, b3))
         near = one_side | ~resolved & (alike(derivative, a1) | alike(derivative, b1))
     return np.select(
         [
