@@ -14,8 +14,9 @@ Differences are one-sided, on both sides, with two steps. A side is resolved if 
     wrong          the same, and it is not
     kinks right    they differ, as where contacts on a floor are moved out of it: the derivative is that of one side
     kinks wrong    it is neither's
-    narrow         neither, but it is that of one side with steps of 1e-11, to a twentieth: the margin has a feature narrower
-                   than the steps, as at a CoM exactly above an edge, where the slack decides
+    narrow         none of these, but with steps of 1e-11 the derivative is that of one side, or the sides differ, to a
+                   twentieth: the margin has a feature narrower than the steps, as at a CoM exactly above an edge, where the
+                   slack decides
     unclear        a side is not resolved, and no difference equals the derivative
     nan            the margin is a number, the derivative is not
     no margin      undecided, or the margin is infinite
@@ -142,8 +143,9 @@ def verdicts(derivative, found: Differences, middle, scale) -> np.ndarray:
         resolved, same = alike(a1, a2) & alike(b1, b2), alike(a2, b2)
         right = alike(derivative, (a2 + b2) / 2)
         one_side = alike(derivative, a2) | alike(derivative, b2)
-        roughly = lambda other: np.abs(derivative - other) <= ROUGHLY * np.maximum(np.abs(derivative), scale * ALIKE)
-        narrow = roughly(a3) | roughly(b3)
+        roughly = lambda a, b: np.abs(a - b) <= ROUGHLY * np.maximum(np.maximum(np.abs(a), np.abs(b)), ROUGHLY * scale)
+        more = ~roughly(a3, a2) | ~roughly(b3, b2)  # is seen with the narrow step
+        narrow = more & (roughly(derivative, a3) | roughly(derivative, b3) | ~roughly(a3, b3))
         near = one_side | ~resolved & (alike(derivative, a1) | alike(derivative, b1))
     return np.select(
         [
