@@ -1,6 +1,7 @@
 """The program: options, exit codes, what is printed, signals. What it refuses is in `test_bad_input`."""
 
 import contextlib
+import json
 import os
 import pty
 import signal
@@ -153,14 +154,23 @@ def test_arrays_that_are_not_carried_through_are_named(fake, arguments, tmp_path
     assert "note: " in (error := capsys.readouterr().err) and "'dt'" in error
 
 
-def test_positions_that_are_rounded_are_told(fake, arguments, tmp_path, capsys):
-    """Map coordinates: single precision is too coarse for them."""
-    write_states(tmp_path / "states.npz", com=states(10)[0] + np.array([5e5, 5e6, 0]))
-    assert main(arguments) == 0
-    said = "positions 5e+06 m from the origin are rounded to 0.5 m (--dtype float64 keeps them)"
-    assert capsys.readouterr().err == f"note: {tmp_path / 'states.npz'}: {said}\n"
-    assert main([*arguments, "--force", "--dtype", "float64"]) == 0
-    assert capsys.readouterr().err == ""
+def test_map_coordinates_lose_nothing(tmp_path):
+    """Positions and contacts reach the scorer in double precision, whatever the precision of the answers."""
+    coms, velocities = states(50)
+    found = []
+    for name, place in (("here", np.zeros(3)), ("there", np.array([5e5, 5e6, 300]))):
+        feet = [{"type": "rectangle", "position": np.add(place, [0, y, 0]).tolist(), "half_length": 0.1, "half_width": 0.06,
+                 "friction": 0.5} for y in (0.1, -0.1)]
+        (tmp_path / f"{name}.json").write_text(json.dumps({"contacts": feet}))
+        write_states(tmp_path / f"{name}.npz", com=coms + place, com_velocity=velocities)
+        output = tmp_path / f"{name}.parquet"
+        assert main(command(tmp_path / f"{name}.npz", tmp_path / f"{name}.json", output, "--baselines")) == 0
+        found.append(read_columns(output))
+    here, there = found
+    assert here["margin"].dtype == np.float32 and 0 < here["capturable"].sum() < 50
+    np.testing.assert_array_equal(here["capturable"], there["capturable"])
+    for name in ("margin", "capture_point_support", "capture_point_hull"):
+        np.testing.assert_allclose(here[name], there[name], rtol=0, atol=1e-4, err_msg=name)
 
 
 def test_progress_bar_on_a_terminal(tmp_path, arguments):

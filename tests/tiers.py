@@ -32,7 +32,6 @@ QUICK: dict[str, tuple[str, ...]] = {
         "test_closing_table",
         "test_quantiles_of_the_margin",
         "test_arrays_that_are_not_carried_through_are_named",
-        "test_positions_that_are_rounded_are_told",
         "test_scores_are_those_of_the_library[float32",
         "test_zero_rows",
         "test_sides_reach_the_cone_and_the_metadata",

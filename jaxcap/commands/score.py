@@ -14,7 +14,7 @@ from tqdm import tqdm
 
 from jaxcap.commands.compile_cache import compilation_cache
 from jaxcap.commands.scorers import Scorer, scorer_of
-from jaxcap.commands.summary import Summary, rounding
+from jaxcap.commands.summary import Summary
 from jaxcap.contacts.contact_set import ContactSet
 from jaxcap.contacts.conventions import GRAVITY
 from jaxcap.errors import InputError
@@ -70,7 +70,7 @@ def score(
     _check_options(sides, batch_size, baselines, height)
     check_output(output, force=force, inputs=(states, contacts) if contacts else (states,))
     sets = read_contact_sets(contacts) if contacts else None
-    with jax.enable_x64(dtype == "float64"), read_states(states, batch_size, dtype) as source, compilation_cache(cache):
+    with jax.enable_x64(dtype == "float64"), read_states(states, batch_size, np.float64) as source, compilation_cache(cache):
         for name in source.skipped:
             print(f"note: {states}: {name!r} is not carried through: not one value for each state", file=sys.stderr)
         described = _contacts(states, source.contacts, contacts, sets)
@@ -172,7 +172,7 @@ class _Run:
         self.seconds, self.compiled = 0.0, 0.0
         """Time spent scoring, and compiling [s]."""
         self._states, self._contacts = _Unusable("the states"), _Unusable("the contacts")
-        self._plausible, self._coarse = Plausibility(), ""
+        self._plausible = Plausibility()
 
     def all(self, source: StateFile, sink: ScoreWriter) -> None:
         """Scores a file. Raises InputError for what is hardly plausible, if that is asked for."""
@@ -189,10 +189,9 @@ class _Run:
         sink.remark(self.notes())
 
     def _look(self, batch: StateBatch) -> None:
-        """What the batch is like: whether it is plausible, and whether single precision rounds it."""
+        """Whether the batch is plausible."""
         rows = some(len(batch.coms))
         self._plausible.add(self._scorer.stand(batch.contacts, len(batch.coms), rows), batch.coms[rows])
-        self._coarse = self._coarse or rounding(batch.coms)
         if self._strict and self._plausible.notes():
             raise InputError(f"--strict: {'; '.join(self._plausible.notes())}")
 
@@ -207,5 +206,5 @@ class _Run:
     def notes(self) -> tuple[str, ...]:
         """Lines for stderr and the output's metadata. Perhaps none."""
         empty = "" if self.summary.states else "no rows: there is nothing to score"
-        found = (empty, self._states.note(), self._contacts.note(), self._coarse, *self._plausible.notes())
+        found = (empty, self._states.note(), self._contacts.note(), *self._plausible.notes())
         return tuple(filter(None, found))

@@ -16,7 +16,7 @@ from jaxtyping import Float, Int
 
 import jaxcap
 from jaxcap.batch.blocks import BLOCK
-from jaxcap.contacts.cone import CentroidalCone, ConeRays, cone_rays
+from jaxcap.contacts.cone import CentroidalCone, ConeRays, centred, cone_rays
 from jaxcap.contacts.contact_set import ContactSet
 from jaxcap.contacts.conventions import GRAVITY, ArrayLike
 from jaxcap.contacts.projection import ProjectionError
@@ -73,10 +73,10 @@ class Scorer(ABC):
         self._sides, self._gravity, self._neighbours, self._size = sides, gravity, neighbours, size
 
     @abstractmethod
-    def _parts(self, contacts: Any, dtype: np.dtype, n: int) -> tuple[list[Part], BadRows]:
+    def _parts(self, contacts: Any, n: int) -> tuple[list[Part], BadRows]:
         """The n rows of a batch by what they are scored with, and those whose contacts cannot be used.
 
-        contacts: from `StateBatch.contacts`. dtype: of the states.
+        contacts: from `StateBatch.contacts`.
         """
 
     @abstractmethod
@@ -124,7 +124,7 @@ class Scorer(ABC):
     ) -> tuple[list[Part], BadRows, Float[np.ndarray, "n 3"]]:
         """The parts of a batch, its bad rows, and the CoMs, NaN in bad rows."""
         self._size = max(self._size, min(BLOCK, len(coms)))
-        parts, bad = self._parts(contacts, coms.dtype, len(coms))
+        parts, bad = self._parts(contacts, len(coms))
         return parts, bad, np.where(bad.rows[:, None], coms.dtype.type(np.nan), coms)
 
     def _score(
@@ -168,7 +168,7 @@ class OneSet(Scorer):
         super().__init__(sides, gravity, neighbours=False, size=max(size, 1))
         self._cone, self._contacts = jaxcap.centroidal_cone(contacts, sides=sides), contacts
 
-    def _parts(self, contacts: None, dtype: np.dtype, n: int) -> tuple[list[Part], BadRows]:
+    def _parts(self, contacts: None, n: int) -> tuple[list[Part], BadRows]:
         return [Part(np.arange(n), self._cone, self._contacts)], BadRows(n)
 
     def stand(self, contacts: None, n: int, rows: slice) -> Stand:
@@ -183,10 +183,9 @@ class OwnContacts(Scorer):
         self._width = 1
         """Contacts of a row, the most so far."""
 
-    def _parts(self, contacts: RowContacts, dtype: np.dtype, n: int) -> tuple[list[Part], BadRows]:
+    def _parts(self, contacts: RowContacts, n: int) -> tuple[list[Part], BadRows]:
         self._width = max(self._width, contacts.mask.shape[1])
         *fields, bad = contacts.padded(self._width)
-        fields = [x if x.dtype == bool else x.astype(dtype, copy=False) for x in fields]
         sets = ContactSet.unchecked(*fields)
         return [Part(np.arange(n), _rays(sets, self._sides), sets)], bad
 
@@ -238,7 +237,7 @@ class SharedSets(Scorer):
         chosen = jax.tree.map(lambda x: x[numbers[rows]], self._stacked)
         return _stand(chosen)._replace(mask=chosen.mask & ~bad.rows[rows, None])
 
-    def _parts(self, choices: RowChoices, dtype: np.dtype, n: int) -> tuple[list[Part], BadRows]:
+    def _parts(self, choices: RowChoices, n: int) -> tuple[list[Part], BadRows]:
         """The rows of each set that many choose, and the rest."""
         numbers, bad = self.choose(choices)
         chosen = np.bincount(numbers[~bad.rows], minlength=len(self._sets))
@@ -247,8 +246,7 @@ class SharedSets(Scorer):
         parts = [Part(np.flatnonzero(numbers == i), cone, self._sets[i]) for i, cone in cones.items()]
         rest = np.flatnonzero(~np.isin(numbers, list(cones)))
         if len(rest) or not parts:
-            own = lambda x: x[numbers[rest]].astype(dtype if x.dtype != bool else bool)
-            parts.append(Part(rest, *jax.tree.map(own, (self._rays, self._stacked))))
+            parts.append(Part(rest, *jax.tree.map(lambda x: x[numbers[rest]], (self._rays, self._stacked))))
         return parts, bad
 
     def _cone(self, number: int) -> CentroidalCone | None:
@@ -308,8 +306,14 @@ def _first(n: int, out: Any) -> Any:
     return jax.tree.map(lambda field: np.asarray(field)[:n], out)
 
 
-@partial(jax.jit, static_argnames="sides")
 def _rays(contacts: ContactSet, sides: int) -> ConeRays:
+    """`cone_rays`, compiled; the contacts are centred on the host, in double precision."""
+    local, origin = centred(contacts)
+    return _compiled_rays(local, sides)._replace(origin=origin)
+
+
+@partial(jax.jit, static_argnames="sides")
+def _compiled_rays(contacts: ContactSet, sides: int) -> ConeRays:
     return cone_rays(contacts, sides)
 
 

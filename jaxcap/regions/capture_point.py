@@ -9,11 +9,13 @@ plane, (14) has no meaning, and the answer is NaN.
 from typing import NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Num
 
-from jaxcap.contacts.cone import CentroidalCone, ConeRays
+from jaxcap.contacts.cone import CentroidalCone, ConeRays, centred
 from jaxcap.contacts.contact_set import ContactSet
 from jaxcap.contacts.conventions import GRAVITY, ArrayLike, FloatArray
+from jaxcap.contacts.scoring_input import relative
 from jaxcap.regions.plane import across, upward
 from jaxcap.regions.support_distance import hull_distance, support_distance
 
@@ -97,6 +99,8 @@ def baselines(
         Distances of shape (n,), or (n, h). A state whose distance is not known has NaN: numbers that are not finite, a
         height that is not positive.
     """
+    if isinstance(coms, np.ndarray) and isinstance(contacts.points, np.ndarray) and isinstance(cone.origin, np.ndarray):
+        (cone, coms), (contacts, _) = relative(cone, coms), centred(contacts)   # before anything is rounded
     coms, com_velocities = jnp.asarray(coms), jnp.asarray(com_velocities)
     if height is None:
         height = height_above_contacts(cone, coms, gravity)
