@@ -154,11 +154,16 @@ def test_defaults_lie_around_the_contacts():
     assert len(axes["heading"]) == 72
 
 
-def test_places_that_are_rounded_are_told(tmp_path, contacts, fake, capsys):
-    far = [*SMALL, "--axis", "com_z=500000"]
+def test_places_that_are_hardly_plausible_are_told(tmp_path, contacts, fake, capsys):
+    """R4: one line, and in the map; with --strict an error, and no map."""
+    far, words = [*SMALL, "--axis", "com_z=800"], "the CoM is more than 10 m from all contacts"
     assert main(command(contacts, tmp_path / "map.zarr", *far)) == 0
-    assert "positions 5e+05 m from the origin are rounded to 0.031 m (--dtype float64" in capsys.readouterr().err
-    assert main(command(contacts, tmp_path / "map.zarr", *far, "--force", "--dtype", "float64")) == 0
+    assert [words in line for line in capsys.readouterr().err.splitlines()] == [True]
+    with xr.open_dataset(tmp_path / "map.zarr", engine="zarr") as found:
+        assert words in found.attrs["notes"]
+    assert main(command(contacts, tmp_path / "strict.zarr", *far, "--strict")) == 2
+    assert words in capsys.readouterr().err and not (tmp_path / "strict.zarr").exists()
+    assert main(command(contacts, tmp_path / "near.zarr", *SMALL, "--strict")) == 0
     assert capsys.readouterr().err == ""
 
 

@@ -18,8 +18,8 @@ from scipy.optimize import linprog
 import jaxcap
 from jaxcap import Case, Status, plotting
 from jaxcap.contacts.friction import pyramid_edges, wrench_rays
-from jaxcap.plotting.footprint import patches
 from jaxcap.plotting.kernels import CODES
+from jaxcap.plotting.patches import patches
 from jaxcap.plotting.region import clipped
 from jaxcap.plotting.travel import travel
 from jaxcap.regions.velocity_area import VelocityArea, headings, velocity_area

@@ -229,6 +229,20 @@ def test_robots_are_what_their_docstrings_say(talos):
         assert abs(position[2]) < 1e-5 and rotation[2, 2] > 0.9999
 
 
+@pytest.mark.parametrize("name", robots.ANYMAL_FEET)
+def test_points_are_placed_as_patches_are(name):
+    """R3: the origin of the foot's frame, which stands on the ground as its SRDF's posture does."""
+    anymal = robots.anymal()
+    model, q, foot = anymal.model, anymal.postures["standing"], robots.ANYMAL_FEET[name]
+    position, rotation = robots.contact_placement(model, q, foot)
+    data = model.createData()
+    pin.framesForwardKinematics(model, data, q)
+    placed = data.oMf[model.getFrameId(foot.frame)]
+    np.testing.assert_allclose(position, placed.translation, atol=1e-12)
+    np.testing.assert_allclose(rotation, placed.rotation, atol=1e-12)
+    assert foot.is_point and not robots.TALOS_CONTACTS["left_sole"].is_point
+
+
 def test_quaternion_in_single_precision_is_normalised(talos):
     q, v = random_states(talos.model, 3)
     single = robots.centroidal_states(talos.model, q.astype(np.float32), v.astype(np.float32))

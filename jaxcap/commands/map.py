@@ -6,16 +6,14 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import jax
-import numpy as np
 import tyro
 
 from jaxcap.commands.compile_cache import compilation_cache
 from jaxcap.commands.options import named_values
-from jaxcap.commands.summary import rounding
 from jaxcap.errors import InputError
 from jaxcap.files.contact_files import read_contact_sets
 from jaxcap.maps.contact_axes import Contacts, given_sets, with_sets
-from jaxcap.maps.grid import POSITION, axes_around, grid_of
+from jaxcap.maps.grid import axes_around, grid_of
 
 MAP = """Map where a robot can stop: capturability over a grid of states.
 
@@ -132,8 +130,7 @@ def map_kernel(
             print(f"note: the same command goes on where this one ended ({output}.partial)", file=sys.stderr)
         raise
     seconds = time.perf_counter() - start
-    coarse = rounding(np.array([[np.abs(points.axes[name]).max() for name in POSITION]], dtype))
-    for note in filter(None, (*notes, coarse)):
+    for note in notes:
         print(f"note: {output}: {note}", file=sys.stderr)
     extent = " x ".join(f"{name} {size}" for name, size in zip(points.dims, points.shape, strict=True)) or "one point"
     before = f"; {points.size - computed} were there" if computed < points.size else ""

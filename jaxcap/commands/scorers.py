@@ -172,6 +172,7 @@ class OneSet(Scorer):
         return [Part(np.arange(n), self._cone, self._contacts)], BadRows(n)
 
     def stand(self, contacts: None, n: int, rows: slice) -> Stand:
+        """The same for all."""
         return _stand(jax.tree.map(lambda x: np.repeat(x[None], len(range(n)[rows]), axis=0), self._contacts))
 
 
@@ -190,6 +191,7 @@ class OwnContacts(Scorer):
         return [Part(np.arange(n), _rays(sets, self._sides), sets)], bad
 
     def stand(self, contacts: RowContacts, n: int, rows: slice) -> Stand:
+        """What the columns say."""
         return Stand(contacts.points[rows], contacts.frames[rows, ..., 2], contacts.mask[rows])
 
 
@@ -233,6 +235,7 @@ class SharedSets(Scorer):
         return np.where(bad.rows, 0, found).astype(np.int64), bad
 
     def stand(self, choices: RowChoices, n: int, rows: slice) -> Stand:
+        """The sets that the rows choose."""
         numbers, bad = self.choose(choices)
         chosen = jax.tree.map(lambda x: x[numbers[rows]], self._stacked)
         return _stand(chosen)._replace(mask=chosen.mask & ~bad.rows[rows, None])

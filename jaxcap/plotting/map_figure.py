@@ -10,9 +10,9 @@ from matplotlib.figure import Figure
 from jaxcap.contacts.contact_set import ContactSet
 from jaxcap.maps.contact_axes import contacts_at
 from jaxcap.maps.grid import CONTACTS
-from jaxcap.plotting.footprint import footprint
+from jaxcap.plotting.areas_of_maps import POLAR, map_areas, weakest
 from jaxcap.plotting.kernels import at_selection, kernel_slice
-from jaxcap.plotting.map_areas import POLAR, map_areas, weakest
+from jaxcap.plotting.patches import footprint
 
 if TYPE_CHECKING:
     import xarray as xr

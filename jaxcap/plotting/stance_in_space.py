@@ -12,7 +12,7 @@ from jaxcap.contacts.cone import CentroidalCone, centroidal_cone
 from jaxcap.contacts.contact_set import ContactSet
 from jaxcap.contacts.conventions import ArrayLike
 from jaxcap.contacts.friction import pyramid_edges
-from jaxcap.plotting.footprint import patches
+from jaxcap.plotting.patches import patches
 from jaxcap.plotting.region import clipped
 from jaxcap.plotting.style import BLUE, DARK, GREY, ORANGE, RED, axes_or_new
 from jaxcap.regions.support_polygon import support_polygon
