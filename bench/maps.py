@@ -29,7 +29,7 @@ import jaxcap
 from bench.process import in_process
 from bench.stances import DATA
 from jaxcap.files.contact_files import read_contacts
-from jaxcap.maps.grid import Grid, axes_around, grid
+from jaxcap.maps.grid import Grid, axes_around, grid_of
 
 CONTACTS = DATA / "talos_two_feet.yaml"
 SEED, RUN = 0, 1 << 16
@@ -81,7 +81,7 @@ def line(name: str, quantities, options, directory: Path) -> dict:
     """One line of the table."""
     texts, output = axes(options.contacts, options.states), directory / f"{name}.zarr"
     stance = read_contacts(options.contacts)
-    points, cone = grid(axes_around(stance, texts)), jaxcap.centroidal_cone(stance)
+    points, cone = grid_of(axes_around(stance, texts)), jaxcap.centroidal_cone(stance)
     rng = np.random.default_rng(SEED)
     starts = rng.integers(0, points.size - RUN, max(1, options.sample // RUN))
     before, _ = scored(cone, points, starts)

@@ -192,7 +192,7 @@ class Sampler:
 def _add_frame(model, name: str) -> int:
     """The frame of a contact, added to the model (a patch) or already there (a foot)."""
     if name not in robots.TALOS_CONTACTS:
-        return model.getFrameId(robots.ANYMAL_FEET[name])
+        return model.getFrameId(robots.ANYMAL_FEET[name].frame)
     patch = robots.TALOS_CONTACTS[name]
     link = model.getFrameId(patch.frame)
     placement = model.frames[link].placement * pin.SE3(np.array(patch.rotation), np.array(patch.position))
