@@ -21,8 +21,7 @@ from jaxcap.batch.blocks import BLOCK, LANES, padded_cone
 from jaxcap.batch.rounds import Shared, States, scored_block
 from jaxcap.contacts.cone import CentroidalCone, ConeRays, cone_rays
 from jaxcap.contacts.contact_set import ContactSet
-from jaxcap.contacts.conventions import GRAVITY, ArrayLike
-from jaxcap.contacts.scoring_input import check_gravity
+from jaxcap.contacts.conventions import GRAVITY, ArrayLike, checked_gravity
 from jaxcap.errors import needs_extra
 
 PLATFORMS = ("cpu", "cuda", "rocm", "tpu")
@@ -134,7 +133,7 @@ def _serialized(
     """A program that takes what `cone` takes, of these shapes and dtypes, and the states."""
     if not isinstance(n, str) and n < 1:
         raise ValueError(f"n = {n} (expected at least 1, or the name of a dimension)")
-    check_gravity(gravity)
+    checked_gravity(gravity, finite=False)
     with needs_extra("export", "jaxcap.exported"):
         import flatbuffers  # noqa: F401
     pull: Any = np.asarray(gravity, dtypes.answers)   # NumPy's: a constant of the program, whatever the x64 switch says here

@@ -11,8 +11,8 @@ from jaxcap.batch.blocks import BLOCK, RAYS_BLOCK, block_of, over_blocks, padded
 from jaxcap.batch.devices import Spread, spread_over
 from jaxcap.batch.rounds import Shared, States, scored_block
 from jaxcap.contacts.cone import CentroidalCone, ConeRays
-from jaxcap.contacts.conventions import GRAVITY, ArrayLike
-from jaxcap.contacts.scoring_input import check_cone, check_gravity, relative
+from jaxcap.contacts.conventions import GRAVITY, ArrayLike, checked_gravity
+from jaxcap.contacts.scoring_input import check_cone, relative
 from jaxcap.one_state.result import Capturability
 
 
@@ -48,7 +48,7 @@ def score(
     Source: Section III, as `capturability`.
     """
     check_cone(cone)
-    check_gravity(gravity)
+    checked_gravity(gravity, finite=False)
     _check_shapes(cone, coms, com_velocities)
     cone, coms = relative(cone, coms)
     coms, com_velocities = jnp.asarray(coms), jnp.asarray(com_velocities)

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from jaxcap.contacts.contact_set import ContactSet
-from jaxcap.contacts.conventions import FloatArray
+from jaxcap.contacts.conventions import SAME_PLACE, SAME_PLACE_ERRORS, FloatArray
 from jaxcap.contacts.friction import wrench_rays
 from jaxcap.contacts.projection import ProjectionError, cone_faces
 
@@ -25,7 +25,7 @@ class CentroidalCone(NamedTuple):
     origin: Float[FloatArray, "*batch 3"]
     """Centroid of the contact points [m]: a robot far from the world's origin is scored like one near it."""
     length: Float[FloatArray, "*batch"]
-    """Distance of the farthest contact point from the origin [m], or 1 for a single point: the scale of rounding errors."""
+    """Distance of the farthest contact point from the origin [m], or 1 for a single place: the scale of rounding errors."""
 
     def padded(self, rows: int) -> "CentroidalCone":
         """The same cone with at least this many rows: those added bound nothing."""
@@ -56,7 +56,8 @@ def centroidal_cone(contacts: ContactSet, sides: int = 4) -> CentroidalCone:
     if len(active) == 0:
         raise ValueError(f"contacts: none of {len(contacts)} is active (expected at least one)")
     origin = active.points.mean(axis=0)
-    length = np.linalg.norm(active.points - origin, axis=1).max() or 1.0
+    length = np.linalg.norm(active.points - origin, axis=1).max()
+    length = length if length > _same_place(active) else 1.0
     scale = np.array([1, 1, 1, length, length, length])
     rays = np.asarray(wrench_rays(active, sides, origin)) / scale
     try:
@@ -81,7 +82,7 @@ class ConeRays(NamedTuple):
     origin: Float[FloatArray, "*batch 3"]
     """Centroid of the contact points [m]: a robot far from the world's origin is scored like one near it."""
     length: Float[FloatArray, "*batch"]
-    """Distance of the farthest contact point from the origin [m], or 1 where there is none."""
+    """Distance of the farthest contact point from the origin [m], or 1 where all are at one place."""
 
     @property
     def batched(self) -> bool:
@@ -110,7 +111,8 @@ def cone_rays(contacts: ContactSet, sides: int = 4) -> ConeRays:
     # Where torques are taken about changes nothing, nor does their scale: no gradient.
     points = jax.lax.stop_gradient(local.points)
     square = jnp.max(jnp.sum(jnp.where(local.mask[..., None], points, 0) ** 2, axis=-1), axis=-1, initial=0)
-    length = jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1)), 1)
+    apart = square > _same_place(contacts) ** 2
+    length = jnp.where(apart, jnp.sqrt(jnp.where(apart, square, 1)), 1)
     mask = jnp.repeat(local.mask, sides, axis=-1)
     rays = wrench_rays(local, sides, jnp.zeros_like(points[..., 0, :]))
     return ConeRays(rays=rays, mask=mask, origin=origin, length=length)
@@ -134,3 +136,10 @@ def centred(contacts: ContactSet) -> tuple[ContactSet, FloatArray]:
     origin = xp.sum(xp.where(mask, points, 0), axis=-2) / xp.maximum(xp.sum(mask, axis=-2), 1)
     local = contacts.points - origin[..., None, :]
     return ContactSet.unchecked(local, contacts.frames, contacts.friction, contacts.mask), origin
+
+
+def _same_place(contacts: ContactSet) -> Any:
+    """Contacts within this of their centroid [m] are at one place."""
+    xp: Any = contacts.points.__array_namespace__()
+    largest = xp.max(xp.abs(xp.where(contacts.mask[..., None], contacts.points, 0)), axis=(-1, -2), initial=0)
+    return xp.maximum(SAME_PLACE, SAME_PLACE_ERRORS * float(jnp.finfo(contacts.points.dtype).eps) * largest)

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from jaxcap.contacts.conventions import ROTATION_ERROR, ArrayLike, FloatArray
+from jaxcap.contacts.conventions import FARTHEST, ROTATION_ERROR, ArrayLike, FloatArray
 
 
 @jax.tree_util.register_pytree_with_keys_class
@@ -20,15 +20,15 @@ class ContactSet:
     (n, k, 3), frames (n, k, 3, 3) or (3, 3), friction (n, k) or one number, mask (n, k).
 
     Args:
-        points: (k, 3) [m].
+        points: (k, 3) [m], coordinates at most 1e8.
         frames: (k, 3, 3) rotations, or one (3, 3) for all. The third column is the normal and points at the robot, the first
             is the tangent from which the edges of the friction pyramid are counted.
         friction: (k,) or one number for all, > 0; above 1e4 it counts as 1e4, which never slips.
         mask: (k,) bool, False for a row that is only padding; all True if not given.
 
     Raises:
-        ValueError: naming field and row, for a wrong shape, a value that is not finite, a frame that is not a rotation, or a
-            friction that is not positive. Values under a JAX transformation are not checked.
+        ValueError: naming field and row, for a wrong shape, a value that is not finite, a point beyond `FARTHEST`, a frame
+            that is not a rotation, or a friction that is not positive. Values under a JAX transformation are not checked.
     """
 
     points: Float[FloatArray, "*batch k 3"]
@@ -138,6 +138,8 @@ def _checked(points: Any, frames: Any, friction: Any, mask: Any) -> tuple[Any, A
     batch = (None,) * (np.ndim(points) - 2)
     points = _array("points", points, (*batch, None, 3))
     rows = points.shape[:-1]
+    for index in np.argwhere(np.abs(points) > FARTHEST)[:1]:
+        raise ValueError(f"points{_place(index)} = {points[tuple(index)]} (expected at most {FARTHEST:.0e} m)")
     frames = np.asarray(frames)
     if frames.shape == (3, 3):
         frames = np.broadcast_to(frames, (*rows, 3, 3))

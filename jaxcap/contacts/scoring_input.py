@@ -21,12 +21,6 @@ def check_cone(cone: Any) -> None:
         raise TypeError(f"cone: {what} (expected {hint})")
 
 
-def check_gravity(gravity: Any) -> None:
-    """Raises TypeError for another shape than that of a vector. NaN and infinity are told by the status."""
-    if np.shape(gravity) != (3,):
-        raise TypeError(f"gravity has shape {np.shape(gravity)} (expected (3,), such as (0, 0, -9.81))")
-
-
 def relative(cone: CentroidalCone | ConeRays, coms: Any) -> tuple[CentroidalCone | ConeRays, Any]:
     """Cone and CoM positions with the contacts' centroid as their origin, where both are NumPy's; else as they are.
 

@@ -5,8 +5,8 @@ import numpy as np
 from jaxtyping import Array, Num
 
 from jaxcap.contacts.cone import CentroidalCone, ConeRays
-from jaxcap.contacts.conventions import GRAVITY, ArrayLike
-from jaxcap.contacts.scoring_input import check_cone, check_gravity, relative
+from jaxcap.contacts.conventions import GRAVITY, ArrayLike, checked_gravity
+from jaxcap.contacts.scoring_input import check_cone, relative
 from jaxcap.one_state.decision import capturability_at
 from jaxcap.one_state.line import motion_of_lanes
 from jaxcap.one_state.result import Capturability
@@ -37,7 +37,7 @@ def capturability(
     """
     # NumPy arrays go to the compiled program as they are: to make JAX's of them first takes longer than the answer.
     check_cone(cone)
-    check_gravity(gravity)
+    checked_gravity(gravity, finite=False)
     position, velocity = (x if isinstance(x, jax.Array) else np.asarray(x) for x in (com, com_velocity))
     for name, value in (("com", position), ("com_velocity", velocity)):
         if value.shape != (3,):

@@ -14,7 +14,7 @@ from jaxtyping import Array, Float, Num
 
 from jaxcap.contacts.cone import CentroidalCone, ConeRays, centred
 from jaxcap.contacts.contact_set import ContactSet
-from jaxcap.contacts.conventions import GRAVITY, ArrayLike, FloatArray
+from jaxcap.contacts.conventions import GRAVITY, ArrayLike, FloatArray, checked_gravity
 from jaxcap.contacts.scoring_input import relative
 from jaxcap.regions.plane import across, upward
 from jaxcap.regions.support_distance import hull_distance, support_distance
@@ -47,11 +47,14 @@ def capture_point(
         (..., 2) [m] in the frame of `com`, in the plane across gravity (x and y where it points down; else see
         `plane.across`). NaN where the height is not positive.
 
+    Raises:
+        TypeError, ValueError: for gravity that is not three finite numbers.
+
     Source: (14) of the paper; Pratt et al., Capture Point, Humanoids 2006.
     """
     com, com_velocity = jnp.asarray(com), jnp.asarray(com_velocity)
     dtype = jnp.promote_types(jnp.result_type(com, com_velocity), jnp.float32)
-    pull, height = jnp.asarray(gravity, dtype), jnp.asarray(height, dtype)
+    pull, height = jnp.asarray(checked_gravity(gravity), dtype), jnp.asarray(height, dtype)
     square = height / jnp.sqrt(jnp.sum(pull * pull))
     # The root of what is not positive has no gradient, not even where it is not chosen: it is taken of 1.
     time = jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1)), jnp.nan)   # 1 / omega [s]
@@ -70,10 +73,14 @@ def height_above_contacts(
 
     Returns:
         (...) [m], negative for a CoM below.
+
+    Raises:
+        TypeError, ValueError: for gravity that is not three finite numbers.
     """
     com = jnp.asarray(com)
     com = com.astype(jnp.promote_types(com.dtype, jnp.float32))
-    return jnp.sum((com - jnp.asarray(cone.origin, com.dtype)) * upward(jnp.asarray(gravity, com.dtype)), axis=-1)
+    up = upward(jnp.asarray(checked_gravity(gravity), com.dtype))
+    return jnp.sum((com - jnp.asarray(cone.origin, com.dtype)) * up, axis=-1)
 
 
 def baselines(
@@ -98,6 +105,9 @@ def baselines(
     Returns:
         Distances of shape (n,), or (n, h). A state whose distance is not known has NaN: numbers that are not finite, a
         height that is not positive.
+
+    Raises:
+        TypeError, ValueError: for gravity that is not three finite numbers.
     """
     if isinstance(coms, np.ndarray) and isinstance(contacts.points, np.ndarray) and isinstance(cone.origin, np.ndarray):
         (cone, coms), (contacts, _) = relative(cone, coms), centred(contacts)   # before anything is rounded

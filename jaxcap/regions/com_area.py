@@ -16,7 +16,7 @@ from scipy.optimize import linprog
 
 from jaxcap.batch.score import score
 from jaxcap.contacts.cone import CentroidalCone, ConeRays
-from jaxcap.contacts.conventions import GRAVITY, ArrayLike, FloatArray
+from jaxcap.contacts.conventions import GRAVITY, ArrayLike, FloatArray, checked_gravity
 from jaxcap.one_state.line import survey_of_lanes
 
 PLACES = 48
@@ -78,8 +78,11 @@ def com_area(
         Where each line has such positions.
 
     Raises:
-        ValueError: for a velocity that is zero, not horizontal or not finite, and for fewer than 2 lines.
+        ValueError: for a velocity that is zero, not horizontal or not finite, for fewer than 2 lines, or for gravity
+            that is not finite.
+        TypeError: for gravity that is not three numbers.
     """
+    checked_gravity(gravity)
     com_velocity = np.asarray(com_velocity, float)
     speed = np.linalg.norm(com_velocity)
     if com_velocity.shape != (3,) or not np.isfinite(speed) or speed == 0 or com_velocity[2] != 0:

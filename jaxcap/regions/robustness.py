@@ -14,7 +14,7 @@ from jaxtyping import Array, Bool, Float, Int, Num
 
 from jaxcap.batch.score import score
 from jaxcap.contacts.cone import CentroidalCone, ConeRays
-from jaxcap.contacts.conventions import GRAVITY, ArrayLike, FloatArray
+from jaxcap.contacts.conventions import GRAVITY, ArrayLike, FloatArray, checked_gravity
 from jaxcap.one_state.capturability import capturability
 from jaxcap.regions.velocity_area import headings, sphere
 
@@ -64,7 +64,9 @@ def robustness(
 
     Raises:
         TypeError: for a wrong shape.
+        ValueError: for gravity that is not finite.
     """
+    checked_gravity(gravity)
     com = jnp.asarray(com)
     if com.shape != (3,):
         raise TypeError(f"com has shape {com.shape} (expected (3,); `jax.vmap` takes many)")

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jaxcap.contacts.cone import CentroidalCone
-from jaxcap.contacts.conventions import GRAVITY, ArrayLike, FloatArray
+from jaxcap.contacts.conventions import GRAVITY, ArrayLike, FloatArray, checked_gravity
 from jaxcap.numerics.guarded import tolerances
 from jaxcap.regions.plane import Nearest, across, rotated, upward
 
@@ -82,13 +82,18 @@ def support_polygon(cone: CentroidalCone, gravity: ArrayLike = GRAVITY) -> Suppo
         The region. The plane's coordinates are x and y where gravity points down; else see `plane.across`.
 
     Raises:
-        ValueError: under a JAX transformation, where `support_distance` with rays works.
+        ValueError: for gravity that is zero or not finite; and under a JAX transformation, where `support_distance` with
+            rays works.
+        TypeError: for gravity that is not three numbers.
 
     Source: Bretl and Lall, Testing Static Equilibrium for Legged Robots, T-RO 2008, whose region it is; from the faces (6).
     """
     if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves((cone, gravity))):
         raise ValueError("support_polygon works on the host, once for each contact set: call it outside jit, vmap and grad")
-    up, axes = np.asarray(upward(_double(gravity)), float), np.asarray(across(_double(gravity)), float)
+    pull = _double(checked_gravity(gravity))
+    if not pull.any():
+        raise ValueError("gravity = 0 (expected a direction, as (0, 0, -9.81))")
+    up, axes = np.asarray(upward(pull), float), np.asarray(across(pull), float)
     faces, length = _double(cone.faces), float(cone.length)
     # The wrench of a robot at rest is (up, arm x up) per unit of weight; arms in sizes of the stance.
     rows = np.cross(up, faces[:, 3:] * length) @ axes.T

@@ -15,7 +15,7 @@ from scipy.spatial import ConvexHull, QhullError
 
 from jaxcap.batch.score import score
 from jaxcap.contacts.cone import CentroidalCone, ConeRays
-from jaxcap.contacts.conventions import GRAVITY, ArrayLike, FloatArray
+from jaxcap.contacts.conventions import GRAVITY, ArrayLike, FloatArray, checked_gravity
 from jaxcap.numerics.guarded import direction
 
 
@@ -137,7 +137,9 @@ def velocity_area(
 
     Raises:
         TypeError: for wrong shapes.
+        ValueError: for gravity that is not finite.
     """
+    checked_gravity(gravity)
     com, towards = jnp.asarray(com), headings() if directions is None else directions
     if com.ndim not in (1, 2) or com.shape[-1] != 3:
         raise TypeError(f"com has shape {com.shape} (expected (3,) or (k, 3))")
