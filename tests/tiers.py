@@ -140,9 +140,14 @@ QUICK: dict[str, tuple[str, ...]] = {
     "test_reference.py": (),
     "test_reference_oracles.py": (
         "test_event_integration_on_flat_ground",
+        "test_event_integration_of_a_hanging_robot",
+        "test_static_interval_of_flat_feet_is_their_hull",
         "test_speed_interval_on_flat_ground_and_its_error",
         "test_splitting_every_step_never_loses_a_speed",
         "test_polygon_agrees_with_the_accelerations",
+        "test_discretisation_covers_the_hanging_robot",
+        "test_discretised_stop_obeys_the_polygon_between_its_knots",
+        "test_verdict_by_discretisation",
     ),
     "test_special_cases.py": (
         "test_inverted_pendulum_in_closed_form[faces",
