@@ -76,9 +76,12 @@ def x64():
 
 
 @pytest.fixture(autouse=True, scope="module")
-def programs():
-    """A process that holds many programs lets them go between two files."""
+def programs(request):
+    """A process that holds many programs lets them go between two files. What tests their keeping begins with none kept."""
+    if request.path.name == "test_cli_cache.py":
+        jax.config.update("jax_compilation_cache_dir", None)
     yield
+    jax.config.update("jax_compilation_cache_dir", os.environ["JAX_COMPILATION_CACHE_DIR"])
     maps = Path("/proc/self/maps")
     if not maps.exists() or maps.read_bytes().count(b"\n") > MOST_MAPS:
         jax.clear_caches()

@@ -3,6 +3,7 @@
 from functools import cache
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from samplers import random_contacts, random_state
 
@@ -57,7 +58,7 @@ DOWN = (0.0, 0.0, -9.81)
 
 
 def each():
-    """`capturability` with a cone for each state. Takes any number of states, whose answers are NumPy arrays."""
+    """`capturability` with a cone for each state, of which it takes any number."""
     return _each
 
 
@@ -66,7 +67,7 @@ def _each(cones, coms, velocities, gravity=DOWN):
     padded = jax.tree.map(lambda leaf: _padded(np.asarray(leaf)), (cones, coms, velocities))
     starts = range(0, count, TOGETHER)
     parts = [_program()(*jax.tree.map(lambda leaf, i=i: leaf[i : i + TOGETHER], padded), np.array(gravity)) for i in starts]
-    return jax.tree.map(lambda *fields: np.concatenate(fields)[:count], *parts)
+    return jax.tree.map(lambda *fields: jnp.asarray(np.concatenate(fields)[:count]), *parts)
 
 
 def _padded(leaf):

@@ -119,6 +119,7 @@ QUICK: dict[str, tuple[str, ...]] = {
         "test_a_missing_extra_says_what_to_install",
         "test_settings_are_json",
     ),
+    "test_plain_qp.py": (),
     "test_plotting.py": (
         "test_the_polygon_of_flat_ground_is_the_one_of_the_inverted_pendulum",
         "test_both_pictures_name_axes_verdict_and_static_region",
@@ -137,6 +138,17 @@ QUICK: dict[str, tuple[str, ...]] = {
     ),
     "test_ray_form.py": ("test_padding_and_vmap_of_cone_rays", "test_too_few_sides"),
     "test_reference.py": (),
+    "test_reference_oracles.py": (
+        "test_event_integration_on_flat_ground",
+        "test_event_integration_of_a_hanging_robot",
+        "test_static_interval_of_flat_feet_is_their_hull",
+        "test_speed_interval_on_flat_ground_and_its_error",
+        "test_splitting_every_step_never_loses_a_speed",
+        "test_polygon_agrees_with_the_accelerations",
+        "test_discretisation_covers_the_hanging_robot",
+        "test_discretised_stop_obeys_the_polygon_between_its_knots",
+        "test_verdict_by_discretisation",
+    ),
     "test_special_cases.py": (
         "test_inverted_pendulum_in_closed_form[faces",
         "test_swings_below_a_support_in_closed_form[faces",
