@@ -33,6 +33,8 @@ ULPS = 4
 """So many units in the last place of the coordinates belong to the ball too."""
 RANDOM = 8
 """Random neighbours of each sort."""
+UNKNOWN = 2
+"""Places of a ball without a verdict after which the others are not asked."""
 NEWTON = 6
 """Steps towards the surface of a flat cone."""
 SWINGS = 4
@@ -140,14 +142,15 @@ def static_region(com, direction, wrenches: Wrenches) -> tuple[float, float] | N
 
 def true_of_some(state: State, claim: bool) -> bool | None:
     """Whether a state in the ball is (claim) or is not (not claim) capturable; None where the reference cannot say."""
-    said = [capturable(state)]
-    if said[0] == claim:
-        return True
-    for other in _ball(state):
-        said.append(capturable(other))
-        if said[-1] == claim:
+    unknown = 0
+    for one in (state, *_ball(state)):
+        verdict = capturable(one)
+        if verdict == claim:
             return True
-    return None if said[0] is None or said.count(None) > len(said) // 2 else False
+        unknown += verdict is None
+        if unknown > UNKNOWN:  # what has no verdict has taken the longest to find none
+            return None
+    return None if unknown else False
 
 
 def _ball(state: State) -> Iterator[State]:
