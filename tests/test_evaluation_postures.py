@@ -46,7 +46,7 @@ def test_every_sample_is_counted(file, tmp_path):
 
 def test_the_same_margin_has_the_same_area(file, tmp_path):
     for line in lines(postures.order({"three": file}, tmp_path)):
-        assert len(set(line[3 : 3 + len(MARGINS)])) == 1 and line[-1].startswith("+0.0 (")
+        assert len(set(line[3 : 3 + len(MARGINS)])) == 1 and line[-1].startswith("+0.0")
 
 
 def test_what_brake_saves_is_what_the_two_outcomes_differ_by(file, tmp_path):
