@@ -78,7 +78,9 @@ def order(samples: dict[str, Samples], folder: Path) -> str:
             values = np.stack([margins[margin.column][used] for margin in MARGINS])
             shown = (f"{100 * value:.1f}" if np.isfinite(value) else "-" for value in areas(values, fell).values)
             pairs = (difference(values[one], values[other], fell) for one, other in ((0, 2), (2, 3)))
-            compare = (f"{percent(pair.interval, sign=True)}{'' if np.isnan(pair.p) else f', p = {pair.p:.2g}'}" for pair in pairs)
+            compare = (
+                percent(pair.interval, sign=True) + ("" if np.isnan(pair.p) else f", p = {pair.p:.2g}") for pair in pairs
+            )
             rows.append((file.name, part.postures, part.truth, *shown, *compare))
     header = ("scenario", "postures", "outcome", *(margin.label for margin in MARGINS))
     return table((*header, "exact less support polygon", "support polygon less hull"), rows)
