@@ -22,8 +22,8 @@ from matplotlib.patheffects import withStroke
 import jaxcap
 from bench.robot_states import STANCES, Sampler
 from jaxcap.plotting.style import BLUE, ORANGE, RED
+from jaxcap.regions.velocity_area import VelocityArea, headings, velocity_area
 from jaxcap.robots import TALOS_CONTACTS
-from jaxcap.velocity_area import VelocityArea, headings, velocity_area
 
 STANCE = next(stance for stance in STANCES if stance.name == "talos_hand_on_wall")
 BODY, FAR_BODY, WHITE = "#3c3c3c", "#777777", "#ffffff"

@@ -23,9 +23,10 @@ import jaxcap
 from bench.stances import Batch, batch
 from bench.throughput import BAND
 from bench.timing import in_turn, ratio
-from jaxcap.capturability import GRAVITY, survey_of_lanes
-from jaxcap.numerics import direction
-from jaxcap.ray_polygon import ray_polygon
+from jaxcap.contacts.conventions import GRAVITY
+from jaxcap.numerics.guarded import direction
+from jaxcap.one_state.line import survey_of_lanes
+from jaxcap.one_state.ray_polygon import ray_polygon
 from tests.samplers import random_contacts, random_state, rectangle, rotation
 
 SEED, STEPS, DT = 3, 64, 0.002

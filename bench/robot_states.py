@@ -22,7 +22,7 @@ import pyarrow.parquet as pq
 from scipy.optimize import linprog
 
 from jaxcap import robots
-from jaxcap.records import whole_file
+from jaxcap.files.whole_file import whole_file
 
 SEED = 2018
 RESIDUAL = 1e-10

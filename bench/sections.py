@@ -18,9 +18,9 @@ import numpy as np
 import pyarrow.parquet as pq
 
 import jaxcap
-from jaxcap.contact_axes import contacts_at
-from jaxcap.contact_files import read_contacts
-from jaxcap.velocity_area import headings, velocity_area
+from jaxcap.files.contact_files import read_contacts
+from jaxcap.maps.contact_axes import contacts_at
+from jaxcap.regions.velocity_area import headings, velocity_area
 
 DATA = Path(__file__).parent / "data"
 FRICTIONS = np.array([0.1, 0.2, 0.3, 0.4, 0.5, 0.7, 1.0, 1.5])

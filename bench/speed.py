@@ -33,7 +33,7 @@ import jax
 import jaxcap
 from bench import growth, latency, peers, rays, throughput, versus
 from bench.timing import ceilings
-from jaxcap.records import whole_file
+from jaxcap.files.whole_file import whole_file
 
 SECTIONS = ("throughput", "peers", "own", "growth", "latency", "memory")
 QUICK = {

@@ -17,7 +17,7 @@ import numpy as np
 import pyarrow.parquet as pq
 
 import jaxcap
-from jaxcap.contact_files import read_contacts
+from jaxcap.files.contact_files import read_contacts
 from tests.samplers import random_contacts, random_state, rotation
 
 DATA = Path(__file__).parent / "data"

@@ -6,7 +6,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from jaxcap.result import Capturability, Case, Status
+from jaxcap.one_state.result import Capturability, Case, Status
 
 SOLE = {"type": "rectangle", "half_length": 0.1, "half_width": 0.05, "friction": 0.5}
 FEET = {

@@ -25,8 +25,8 @@ from state_files import (
 )
 
 import jaxcap
-from jaxcap.cli import main
-from jaxcap.result import Case, Status
+from jaxcap.commands.cli import main
+from jaxcap.one_state.result import Case, Status
 
 POINT = {"type": "point", "position": [0, 0, 0], "friction": 0.5}
 SOLE = FEET["contacts"][0]
@@ -37,7 +37,7 @@ def scored(monkeypatch):
     """Replaces the predictor; the list counts the rows of each call."""
     calls = []
 
-    def score(cone, coms, com_velocities, gravity):
+    def score(cone, coms, com_velocities, gravity, neighbours):
         calls.append(len(coms))
         return fake_score(cone, coms, com_velocities, gravity)
 
@@ -360,17 +360,18 @@ def test_disk_full_when_the_data_reach_it(refused, good, monkeypatch, output):
 
 
 @pytest.mark.parametrize(("package", "importer", "extra"), [
-    ("pyarrow", "jaxcap.parquet", "data"), ("tyro", "jaxcap.commands", "cli"), ("tqdm", "jaxcap.commands", "cli"),
+    ("pyarrow", "jaxcap.files.parquet", "data"),
+    ("tyro", "jaxcap.commands.", "cli"),
+    ("tqdm", "jaxcap.commands.", "cli"),
     ("yaml", None, "cli"),
 ])
 def test_missing_extra(refused, tmp_path, monkeypatch, package, importer, extra):
     write_states(tmp_path / "a.parquet")
     (tmp_path / "feet.yaml").write_bytes(write_contacts(tmp_path / "feet.json").read_bytes())
     monkeypatch.setitem(sys.modules, package, None)
-    if importer:
-        monkeypatch.delitem(sys.modules, importer, raising=False)
-    if package == "pyarrow":
-        monkeypatch.delitem(sys.modules, "jaxcap.arrow_columns", raising=False)
+    importers = {importer, "jaxcap.files.arrow_columns"} if package == "pyarrow" else {importer}
+    for name in [name for name in sys.modules if importer and name.startswith(tuple(importers))]:
+        monkeypatch.delitem(sys.modules, name)
     refused(package, f'pip install "jaxcap[{extra}]"', states="a.parquet", contacts="feet.yaml")
 
 

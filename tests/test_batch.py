@@ -10,8 +10,8 @@ import pytest
 
 import jaxcap
 from jaxcap import Case, Status
-from jaxcap.batch import BLOCK, LANES
-from jaxcap.block import unsettled
+from jaxcap.batch.blocks import BLOCK, LANES
+from jaxcap.batch.rounds import unsettled
 
 FEET = jaxcap.rectangle([0, 0.1, 0], np.eye(3), 0.1, 0.05, 0.5) + jaxcap.rectangle([0, -0.1, 0], np.eye(3), 0.1, 0.05, 0.5)
 CONE = jaxcap.centroidal_cone(FEET)

@@ -10,8 +10,8 @@ from scipy.spatial import ConvexHull
 from states import contact_set, stack
 
 import jaxcap
-from jaxcap.capture_point import height_above_contacts
-from jaxcap.plane import across
+from jaxcap.regions.capture_point import height_above_contacts
+from jaxcap.regions.plane import across
 from reference.contacts import wrench_rays
 
 pytestmark = pytest.mark.usefixtures("x64")

@@ -26,9 +26,9 @@ from state_files import (
 )
 
 import jaxcap
-from jaxcap.cli import main
-from jaxcap.columns import FIELDS
-from jaxcap.result import Case, Status
+from jaxcap.commands.cli import main
+from jaxcap.files.fields import FIELDS
+from jaxcap.one_state.result import Case, Status
 
 PAIRS = [(i, o) for i in ("parquet", "npz") for o in ("parquet", "npz")]
 
@@ -38,7 +38,7 @@ import sys
 import time
 import jaxcap
 from state_files import fake_score
-from jaxcap.cli import main
+from jaxcap.commands.cli import main
 signal.signal(signal.SIGINT, signal.default_int_handler)   # ignored where the tests run in the background of a shell,
 signal.signal(signal.SIGHUP, signal.SIG_DFL)               # or under nohup
 calls = []
@@ -110,7 +110,7 @@ def test_the_contact_file_in_the_help_is_valid(capsys, tmp_path):
     first = next(i for i, line in enumerate(lines) if line.strip() == "contacts:")
     last = next(i for i, line in enumerate(lines) if "friction: 0.7" in line)
     (tmp_path / "help.yaml").write_text("\n".join(lines[first : last + 1]))
-    from jaxcap.contact_files import read_contacts
+    from jaxcap.files.contact_files import read_contacts
 
     assert len(read_contacts(tmp_path / "help.yaml")) == 5
 
@@ -246,7 +246,7 @@ def test_zero_rows(tmp_path, capsys, source, target):
 
 def test_the_last_batch_has_the_shape_of_the_others(monkeypatch, tmp_path, arguments):
     shapes = []
-    monkeypatch.setattr(jaxcap, "score", lambda cone, c, v, gravity: shapes.append(c.shape) or fake_score(cone, c, v))
+    monkeypatch.setattr(jaxcap, "score", lambda cone, c, v, **_: shapes.append(c.shape) or fake_score(cone, c, v))
     assert main([*arguments, "--batch-size", "4"]) == 0
     assert shapes == [(4, 3)] * 4  # one to compile
     assert pq.read_metadata(tmp_path / "out.parquet").num_rows == 10

@@ -22,10 +22,10 @@ from state_files import (
 )
 
 import jaxcap
-from jaxcap import contact_rows
-from jaxcap.cli import main
-from jaxcap.columns import BASELINES, FIELDS
-from jaxcap.contacts import ContactSet, rectangle
+from jaxcap.commands import scorers as contact_rows
+from jaxcap.commands.cli import main
+from jaxcap.contacts.contact_set import ContactSet, rectangle
+from jaxcap.files.fields import BASELINES, FIELDS
 
 FOOT = [rectangle([0, y, 0], np.eye(3), 0.1, 0.05, 0.5) for y in (0.1, -0.1)]
 
@@ -34,7 +34,6 @@ FOOT = [rectangle([0, y, 0], np.eye(3), 0.1, 0.05, 0.5) for y in (0.1, -0.1)]
 def quick(monkeypatch):
     """A predictor that compiles nothing: it is the baselines that are tested."""
     score = lambda cone, coms, com_velocities, **_: fake_score(cone, coms, com_velocities)
-    monkeypatch.setattr(contact_rows, "score", score)
     monkeypatch.setattr(jaxcap, "score", score)
 
 

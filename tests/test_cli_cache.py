@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from state_files import command, read_columns, write_contacts, write_states
 
-from jaxcap.cli import main
-from jaxcap.compile_cache import compilation_cache
+from jaxcap.commands.cli import main
+from jaxcap.commands.compile_cache import compilation_cache
 from jaxcap.errors import InputError
 
 pytest.importorskip("tyro")
@@ -23,7 +23,7 @@ EVENTS = "/jax/compilation_cache/"
 COUNTED = """
 import collections, json, sys
 import jax
-from jaxcap.cli import main
+from jaxcap.commands.cli import main
 events = collections.Counter()
 jax.monitoring.register_event_listener(lambda name, **_: events.update([name]))
 code = main(sys.argv[1:])
@@ -71,7 +71,7 @@ def test_a_second_run_takes_what_the_first_kept(given):
 
 
 def test_a_map_is_computed_with_the_cache(given, settings, monkeypatch):
-    maps, seen = pytest.importorskip("jaxcap.maps"), []
+    maps, seen = pytest.importorskip("jaxcap.maps.kernel"), []
 
     def write_map(*_, **__):
         seen.append(jax.config.jax_compilation_cache_dir)

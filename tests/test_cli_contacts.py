@@ -26,12 +26,12 @@ from state_files import (
 )
 
 import jaxcap
-from jaxcap import contact_rows
-from jaxcap.cli import main
-from jaxcap.columns import FIELDS
-from jaxcap.contact_files import read_contact_sets
-from jaxcap.contacts import ContactSet, rectangle
-from jaxcap.result import Case, Status
+from jaxcap.commands import scorers as contact_rows
+from jaxcap.commands.cli import main
+from jaxcap.contacts.contact_set import ContactSet, rectangle
+from jaxcap.files.contact_files import read_contact_sets
+from jaxcap.files.fields import FIELDS
+from jaxcap.one_state.result import Case, Status
 
 
 @pytest.fixture
@@ -43,7 +43,6 @@ def scored(monkeypatch):
         calls.append({"rows": len(coms), "type": type(cone), **options})
         return fake_score(cone, coms, com_velocities)
 
-    monkeypatch.setattr(contact_rows, "score", score)
     monkeypatch.setattr(jaxcap, "score", score)
     return calls
 

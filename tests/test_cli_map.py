@@ -15,19 +15,19 @@ import pytest
 import xarray as xr
 from state_files import FEET, write_contacts
 
-from jaxcap import map_blocks
-from jaxcap.cli import main
-from jaxcap.contact_files import read_contacts
-from jaxcap.grid import axes_around, grid
+from jaxcap.commands.cli import main
+from jaxcap.files.contact_files import read_contacts
+from jaxcap.maps import blocks as map_blocks
 from jaxcap.maps import kernel_map
+from jaxcap.maps.grid import axes_around, grid_of
 
 SMALL = ("--axis", "com_x=0:0.1:3", "--axis", "com_y=0", "--axis", "heading=0:90deg:2")
 
 SLOW = """
 import signal, sys, time
 import numpy as np
-from jaxcap import map_blocks
-from jaxcap.cli import main
+from jaxcap.maps import blocks as map_blocks
+from jaxcap.commands.cli import main
 signal.signal(signal.SIGINT, signal.default_int_handler)   # ignored where the tests run in the background of a shell
 map_blocks.REGION = 16
 
@@ -147,7 +147,7 @@ def test_velocities_by_components_need_no_heading(tmp_path, contacts, fake):
 
 def test_defaults_lie_around_the_contacts():
     contacts = read_contacts(Path(__file__).parents[1] / "bench" / "data" / "talos_hand_on_wall.yaml")
-    axes = grid(axes_around(contacts, {"com_y": 0.25, "speed": 0.5})).axes
+    axes = grid_of(axes_around(contacts, {"com_y": 0.25, "speed": 0.5})).axes
     low, high = contacts.points.min(axis=0), contacts.points.max(axis=0)
     np.testing.assert_allclose(axes["com_x"], np.linspace(low[0] - 0.1, high[0] + 0.1, 41))
     assert axes["com_y"] == 0.25 and axes["com_z"] == low[2] + 0.8 and axes["speed"] == 0.5
@@ -231,7 +231,7 @@ def test_interrupted_and_continued(tmp_path, contacts, monkeypatch):
     assert f"{8**3} states; " in text and " were there" in text and int(text.split()[0]) >= 3
     monkeypatch.setattr(map_blocks, "REGION", 16)
     with xr.open_dataset(output) as found:
-        points = grid({name: found[name].values for name in found.coords})
+        points = grid_of({name: found[name].values for name in found.coords})
         assert (found.max_speed.values.ravel()[[0, -1]] == [0, len(map_blocks.regions(points)) - 1]).all()
 
 
@@ -241,7 +241,7 @@ def test_a_map_killed_five_times_at_random_is_the_same_to_the_bit(tmp_path, cont
     axes = ("com_x=-0.2:0.2:121", "com_y=-0.3:0.3:121", "heading=0:360deg:64", "speed=0:1:41")
     options = [*(f"--axis={axis}" for axis in axes), f"--cache={tmp_path / 'cache'}"]
     run = lambda output: subprocess.Popen(
-        [sys.executable, "-m", "jaxcap.cli", *command(contacts, output), *options], stdout=subprocess.DEVNULL
+        [sys.executable, "-m", "jaxcap.commands.cli", *command(contacts, output), *options], stdout=subprocess.DEVNULL
     )
     journal = tmp_path / "map.zarr.partial" / "journal"
     done = lambda: journal.stat().st_size if journal.exists() else 0

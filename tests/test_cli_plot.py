@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.image import imread
 from state_files import FEET, leftovers
 
-from jaxcap.cli import main
+from jaxcap.commands.cli import main
 from jaxcap.plotting.map_figure import map_figure
 
 X, Y, HEADINGS = np.linspace(-0.2, 0.2, 9), np.linspace(-0.3, 0.3, 7), np.arange(8) * np.pi / 4

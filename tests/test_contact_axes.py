@@ -7,13 +7,14 @@ from samplers import rotation
 from state_files import write_contacts
 
 import jaxcap
-from jaxcap import Case, map_blocks
-from jaxcap.cli import main
-from jaxcap.contact_axes import contacts_at
-from jaxcap.contact_files import read_contact_sets
+from jaxcap import Case
+from jaxcap.commands.cli import main
 from jaxcap.errors import InputError
-from jaxcap.grid import axes_around, grid
+from jaxcap.files.contact_files import read_contact_sets
+from jaxcap.maps import blocks as map_blocks
 from jaxcap.maps import kernel_map, write_map
+from jaxcap.maps.contact_axes import contacts_at
+from jaxcap.maps.grid import axes_around, grid_of
 from jaxcap.plotting.map_figure import map_figure
 
 FOOT = jaxcap.rectangle([0, 0.1, 0], np.eye(3), 0.1, 0.05, 0.5)
@@ -60,7 +61,7 @@ def test_a_slope_is_gravity_turned(x64):
     slope, downhill = 0.15, 2.0
     turn = np.array(rotation(0, 0, downhill)) @ rotation(0, slope, 0) @ rotation(0, 0, -downhill)
     assert (turn @ [np.cos(downhill), np.sin(downhill), 0])[2] == pytest.approx(-np.sin(slope))   # downhill goes down
-    coms, velocities = grid({**AXES, "speed": 0.1}).states(np.arange(64))
+    coms, velocities = grid_of({**AXES, "speed": 0.1}).states(np.arange(64))
     centroid = FEET.points.mean(axis=0)
     cone, gravity = jaxcap.centroidal_cone(FEET), np.array([0, 0, -9.81])
     level = jaxcap.score(cone, centroid + (coms - centroid) @ turn, velocities @ turn, gravity @ turn)
@@ -75,7 +76,7 @@ def test_a_slope_turns_with_its_heading(x64):
     slopes = kernel_map(FEET, {**PLACE, "slope": [-0.1, 0.1], "downhill": [0.5, 0.5 + np.pi]}).max_speed
     np.testing.assert_allclose(slopes[0, 0], slopes[1, 1], rtol=1e-9)
     np.testing.assert_allclose(slopes[0, 1], slopes[1, 0], rtol=1e-9)
-    directions = grid({**PLACE, "slope": 0.1, "downhill": "0:360deg:8"}).axes["downhill"]
+    directions = grid_of({**PLACE, "slope": 0.1, "downhill": "0:360deg:8"}).axes["downhill"]
     np.testing.assert_allclose(directions, np.arange(8) * np.pi / 4)
 
 
@@ -200,7 +201,7 @@ def test_a_section_that_is_interrupted_goes_on(tmp_path, monkeypatch):
             write_map(tmp_path / "map.zarr", [FOOT, FEET], axes)
     with pytest.raises(InputError, match="unfinished map with other"):
         write_map(tmp_path / "map.zarr", [FOOT, FOOT], axes)
-    assert write_map(tmp_path / "map.zarr", [FOOT, FEET], axes) == 3 * grid(AXES).size
+    assert write_map(tmp_path / "map.zarr", [FOOT, FEET], axes) == 3 * grid_of(AXES).size
     with xr.open_dataset(tmp_path / "map.zarr") as found:
         xr.testing.assert_identical(found.load(), expected)
 

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from state_files import FEET, write_contacts
 
-from jaxcap.contact_files import read_contact_sets, read_contacts
-from jaxcap.contacts import ContactSet, rectangle
+from jaxcap.contacts.contact_set import ContactSet, rectangle
 from jaxcap.errors import InputError
+from jaxcap.files.contact_files import read_contact_sets, read_contacts
 
 POINT = {"type": "point", "position": [0, 0, 0], "friction": 0.5}
 SOLE = FEET["contacts"][0]

@@ -7,14 +7,14 @@ import pytest
 from state_files import arrow_contacts, contact_lists, padded_contacts, states, write_contacts, write_states
 
 import jaxcap
-from jaxcap import contact_rows
-from jaxcap.contact_columns import BadRows, RowChoices, chosen, from_arrays
-from jaxcap.contact_files import read_contact_sets
-from jaxcap.contact_rows import OwnContacts, SharedSets
-from jaxcap.contacts import ContactSet
-from jaxcap.projection import ProjectionError
-from jaxcap.records import read_states
-from jaxcap.result import Case, Status
+from jaxcap.commands import scorers as contact_rows
+from jaxcap.commands.scorers import OwnContacts, SharedSets
+from jaxcap.contacts.contact_set import ContactSet
+from jaxcap.contacts.projection import ProjectionError
+from jaxcap.files.contact_columns import BadRows, RowChoices, chosen, from_arrays
+from jaxcap.files.contact_files import read_contact_sets
+from jaxcap.files.records import read_states
+from jaxcap.one_state.result import Case, Status
 
 N = 40
 LISTS = contact_lists(N)
@@ -194,6 +194,25 @@ def sole(y, angle=0.0):
 SETS = [sole(0.1), sole(0.1) + sole(-0.1), ContactSet(np.zeros((0, 3)), np.eye(3), 1.0), sole(0.1) + sole(-0.1, 0.4)]
 
 
+BROKEN = {
+    "points": [np.nan, np.inf, -np.inf], "friction": [np.nan, np.inf, 0.0, -0.5], "frames": [np.nan, np.inf, 0.0, -1.0, 1.1],
+}
+"""Values that a contact cannot have; of a frame, its first entry."""
+
+
+@pytest.mark.parametrize(("field", "value"), [(field, value) for field, values in BROKEN.items() for value in values])
+def test_a_row_is_bad_if_and_only_if_it_makes_no_contact_set(field, value):
+    """Contacts are checked in `ContactSet`, which raises, and in columns, where a bad row must not cost the others."""
+    good = {"points": np.zeros((2, 1, 3)), "frames": np.tile(np.eye(3), (2, 1, 1, 1)), "friction": np.full((2, 1), 0.5)}
+    bad = {name: values.copy() for name, values in good.items()}
+    bad[field][1].reshape(-1)[0] = value
+    rows = from_arrays({f"contact_{name}": values for name, values in bad.items()}, np.dtype(np.float64)).bad.rows
+    assert rows.tolist() == [False, True]
+    ContactSet(*(values[1] for values in good.values()))
+    with pytest.raises(ValueError, match=field):
+        ContactSet(*(values[1] for values in bad.values()))
+
+
 def assert_close(one, other, tolerance=1e-9):
     for name in ("capturable", "case", "status"):
         np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
@@ -220,13 +239,13 @@ def test_neighbours_score_the_same(x64):
 
 
 def test_a_later_batch_with_fewer_rows_and_contacts_needs_no_compiling(monkeypatch):
-    shapes, real = [], contact_rows.score
+    shapes, real = [], jaxcap.score
 
     def spy(cone, coms, *rest, **options):
         shapes.append((cone.rays.shape, coms.shape))
         return real(cone, coms, *rest, **options)
 
-    monkeypatch.setattr(contact_rows, "score", spy)
+    monkeypatch.setattr(jaxcap, "score", spy)
     scorer = OwnContacts()
     for n, k in ((N, 8), (7, 4)):
         few = {name: x[:n, :k] for name, x in ARRAYS.items()}
@@ -249,9 +268,9 @@ def test_both_forms_score_the_same(x64, monkeypatch, many):
 
 
 def test_faces_are_projected_once(x64, monkeypatch):
-    seen, real = [], contact_rows.centroidal_cone
+    seen, real = [], jaxcap.centroidal_cone
     monkeypatch.setattr(contact_rows, "MANY", 1)
-    monkeypatch.setattr(contact_rows, "centroidal_cone", lambda contacts, sides: seen.append(1) or real(contacts, sides))
+    monkeypatch.setattr(jaxcap, "centroidal_cone", lambda contacts, sides: seen.append(1) or real(contacts, sides))
     scorer = SharedSets(SETS)
     for _ in range(2):
         scorer.score(chosen(NUMBERS), COMS, VELOCITIES)
@@ -264,7 +283,7 @@ def test_a_set_without_faces_is_scored_by_rays(x64, monkeypatch):
 
     expected, _ = SharedSets(SETS).score(chosen(NUMBERS), COMS, VELOCITIES)
     monkeypatch.setattr(contact_rows, "MANY", 1)
-    monkeypatch.setattr(contact_rows, "centroidal_cone", fail)
+    monkeypatch.setattr(jaxcap, "centroidal_cone", fail)
     out, _ = SharedSets(SETS).score(chosen(NUMBERS), COMS, VELOCITIES)
     assert_close(out, expected)
 

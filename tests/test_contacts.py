@@ -8,7 +8,7 @@ from samplers import rotation
 
 import jaxcap
 from jaxcap import ContactSet, rectangle
-from jaxcap.friction import pyramid_edges, wrench_rays
+from jaxcap.contacts.friction import pyramid_edges, wrench_rays
 
 FRAME = rotation(0.3, -0.2, 0.7)
 

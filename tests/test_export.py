@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 import jaxcap
-from jaxcap import Case, Status, exported
+from jaxcap import Case, Status
+from jaxcap.batch import exported
 from jaxcap.errors import MissingExtra
 
 pytest.importorskip("flatbuffers")

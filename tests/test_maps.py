@@ -14,13 +14,14 @@ import pytest
 import xarray as xr
 
 import jaxcap
-from jaxcap import Case, Status, map_blocks, maps
-from jaxcap.capturability import LIMITS, WALKED
-from jaxcap.columns import FIELDS
-from jaxcap.contact_files import read_contacts
+from jaxcap import Case, Status
 from jaxcap.errors import InputError, MissingExtra
-from jaxcap.grid import AXES, grid
-from jaxcap.maps import kernel_map, write_map
+from jaxcap.files.contact_files import read_contacts
+from jaxcap.files.fields import FIELDS
+from jaxcap.maps import blocks as map_blocks
+from jaxcap.maps import kernel, kernel_map, write_map
+from jaxcap.maps.grid import AXES, grid_of
+from jaxcap.one_state.decision import LIMITS, WALKED
 
 FOOT = jaxcap.rectangle([0, 0.1, 0], np.eye(3), 0.1, 0.05, 0.5)
 FEET = FOOT + jaxcap.rectangle([0.2, -0.15, 0.1], np.eye(3), 0.1, 0.05, 0.5)
@@ -48,7 +49,7 @@ STATES = 256
 
 def scored(axes, cone=CONE):
     """The answers of `score` on arrays of the grid's states, in the grid's shape."""
-    points = grid(axes)
+    points = grid_of(axes)
     assert points.size <= STATES
     out = jaxcap.score(cone, *points.states(np.resize(np.arange(points.size), STATES), np.float32))
     return jax.tree.map(lambda field: np.asarray(field)[: points.size].reshape(points.shape), out)
@@ -133,7 +134,7 @@ def test_regions_and_the_order_of_axes_change_nothing(monkeypatch):
     monkeypatch.setattr(map_blocks, "SPEEDS", 3)
     order = ("speed", "com_y", "heading", "com_x", "com_z")
     axes = {name: POINTS[name] for name in order}
-    assert len(map_blocks.regions(grid(axes))) >= 16
+    assert len(map_blocks.regions(grid_of(axes))) >= 16
     parts = kernel_map(FEET, axes, names)
     assert parts.margin.dims == order[:4] and parts.max_speed.dims == ("com_y", "heading", "com_x")
     xr.testing.assert_equal(whole[list(names)], parts.transpose(*whole.dims))
@@ -142,7 +143,8 @@ def test_regions_and_the_order_of_axes_change_nothing(monkeypatch):
 def test_the_last_states_of_a_huge_grid(monkeypatch):
     """10^11 states: nothing is ever as long as the grid, and no index overflows."""
     monkeypatch.setattr(map_blocks, "REGION", STATES)
-    points = grid({"com_x": "0:0.1:4001", "com_y": "0:0.1:4001", "com_z": 0.8, "heading": "0:360deg:100", "speed": "0:1:64"})
+    axes = {"com_x": "0:0.1:4001", "com_y": "0:0.1:4001", "com_z": 0.8, "heading": "0:360deg:100", "speed": "0:1:64"}
+    points = grid_of(axes)
     assert points.size > 1e11
     answers = map_blocks.Answers([CONE], points, ("margin",), (0, 0, -9.81), np.float32)
     (region, values), = answers.over([len(answers.regions) - 1])
@@ -216,7 +218,7 @@ def test_a_grid_of_one_point():
 
 
 def test_values_ranges_and_lists():
-    points = grid({"com_x": "-0.4:0.4:5", "com_y": "1,2.5", "com_z": "0.8", "velocity_x": [0], "velocity_y": 3})
+    points = grid_of({"com_x": "-0.4:0.4:5", "com_y": "1,2.5", "com_z": "0.8", "velocity_x": [0], "velocity_y": 3})
     np.testing.assert_allclose(points.axes["com_x"], [-0.4, -0.2, 0, 0.2, 0.4], atol=1e-16)
     np.testing.assert_array_equal(points.axes["com_y"], [1, 2.5])
     assert points.dims == ("com_x", "com_y", "velocity_x") and points.shape == (5, 2, 1)
@@ -224,7 +226,7 @@ def test_values_ranges_and_lists():
 
 
 def test_a_full_circle_does_not_repeat_its_end():
-    circle = lambda text: grid({"com_x": 0, "com_y": 0, "com_z": 0, "heading": text}).axes["heading"]
+    circle = lambda text: grid_of({"com_x": 0, "com_y": 0, "com_z": 0, "heading": text}).axes["heading"]
     np.testing.assert_allclose(np.degrees(circle("0:360deg:72")), np.arange(72) * 5, atol=1e-12)
     np.testing.assert_allclose(np.degrees(circle("180deg:-180deg:4")), [180, 90, 0, -90], atol=1e-12)
     np.testing.assert_allclose(circle("0:6.2832:8"), np.arange(8) * np.pi / 4, atol=1e-12)
@@ -233,7 +235,7 @@ def test_a_full_circle_does_not_repeat_its_end():
 
 def test_the_direction_of_heading_and_pitch():
     axes = {"com_x": 0, "com_y": 0, "com_z": 1, "heading": "0,90deg", "pitch": "-90deg,0,30deg", "speed": 2.0}
-    _, velocities = grid(axes).states(np.arange(6))
+    _, velocities = grid_of(axes).states(np.arange(6))
     half, root = 1.0, np.sqrt(3)
     expected = [[0, 0, -2], [2, 0, 0], [root, 0, half], [0, 0, -2], [0, 2, 0], [0, root, half]]
     np.testing.assert_allclose(velocities, expected, atol=1e-15)
@@ -242,7 +244,7 @@ def test_the_direction_of_heading_and_pitch():
 
 def test_a_state_that_is_not_there():
     with pytest.raises(IndexError, match="expected 0 to 255"):
-        grid(POINTS).states(np.array([256]))
+        grid_of(POINTS).states(np.array([256]))
 
 
 PLACE = {"com_x": 0, "com_y": 0, "com_z": 0.8}
@@ -335,7 +337,7 @@ def test_what_a_map_says_of_itself(tmp_path):
 
 
 def test_the_dtype_of_the_axes_decides(x64):
-    of = lambda **axes: maps._checked(FEET, {**PLACE, **axes}, None, None).dtype
+    of = lambda **axes: kernel._checked(FEET, {**PLACE, **axes}, None, None).dtype
     assert of(heading=np.zeros(1, np.float32)) == np.float32
     assert of(heading=np.zeros(1)) == of(heading="0:1:4") == of(heading=[0, 1]) == np.float64
     assert of(heading=np.zeros(1, np.float32), com_x=np.zeros(1)) == np.float64
@@ -364,7 +366,7 @@ def interrupted(monkeypatch, after: int, error=KeyboardInterrupt):
 
 def test_an_interrupted_map_goes_on_to_the_same_bytes(tmp_path, monkeypatch, small):
     write_map(tmp_path / "whole.zarr", FEET, POINTS, EVERY)
-    total = len(map_blocks.regions(grid(POINTS)))
+    total = len(map_blocks.regions(grid_of(POINTS)))
     assert total > 12
     for after in (0, 3, 1, 4):
         with monkeypatch.context() as patch:
@@ -378,7 +380,7 @@ def test_an_interrupted_map_goes_on_to_the_same_bytes(tmp_path, monkeypatch, sma
     stray.write_bytes(b"half")   # as zarr leaves it when it is killed
     with open(journal, "a") as file:
         file.write("1")   # of 10 or 11: a torn line
-        assert 0 < write_map(tmp_path / "map.zarr", FEET, POINTS, EVERY) < grid(POINTS).size
+        assert 0 < write_map(tmp_path / "map.zarr", FEET, POINTS, EVERY) < grid_of(POINTS).size
     assert tree(tmp_path / "map.zarr") == tree(tmp_path / "whole.zarr")
     assert sorted(os.listdir(tmp_path)) == ["map.zarr", "whole.zarr"]
 
@@ -504,17 +506,17 @@ def test_force_replaces_a_map_when_the_new_one_is_there(tmp_path, monkeypatch):
 
 
 def test_importing_the_library_needs_no_xarray():
-    program = "import sys, jaxcap, jaxcap.grid; assert not {'xarray', 'zarr', 'tqdm'} & set(sys.modules)"
+    program = "import sys, jaxcap, jaxcap.maps.grid; assert not {'xarray', 'zarr', 'tqdm'} & set(sys.modules)"
     subprocess.run([sys.executable, "-c", program], check=True)
 
 
 def test_a_missing_extra_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "xarray", None)
-    monkeypatch.delitem(sys.modules, "jaxcap.maps")
+    monkeypatch.delitem(sys.modules, "jaxcap.maps.kernel")
     with pytest.raises(MissingExtra, match=r'jaxcap.maps needs xarray; install it with: pip install "jaxcap\[maps\]"'):
-        importlib.import_module("jaxcap.maps")
+        importlib.import_module("jaxcap.maps").kernel_map  # noqa: B018
     monkeypatch.undo()
-    assert importlib.import_module("jaxcap.maps") is maps
+    assert importlib.import_module("jaxcap.maps").kernel_map is kernel_map
 
 
 def test_netcdf_without_its_packages(tmp_path, monkeypatch, no_computing):
@@ -525,5 +527,5 @@ def test_netcdf_without_its_packages(tmp_path, monkeypatch, no_computing):
 
 def test_settings_are_json():
     """What decides whether a map may be continued is written down, and is the same when it is read."""
-    _, about = maps._prepared(FEET, maps._checked(FEET, POINTS, None, None), (0, 0, -9.81), 4, False)
+    _, about = kernel._prepared(FEET, kernel._checked(FEET, POINTS, None, None), (0, 0, -9.81), 4, False)
     assert json.loads(json.dumps(about.settings)) == about.settings

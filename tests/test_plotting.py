@@ -17,12 +17,12 @@ from scipy.optimize import linprog
 
 import jaxcap
 from jaxcap import Case, Status, plotting
-from jaxcap.friction import pyramid_edges, wrench_rays
+from jaxcap.contacts.friction import pyramid_edges, wrench_rays
 from jaxcap.plotting.footprint import patches
 from jaxcap.plotting.kernels import CODES
 from jaxcap.plotting.region import clipped
 from jaxcap.plotting.travel import travel
-from jaxcap.velocity_area import VelocityArea, headings, velocity_area
+from jaxcap.regions.velocity_area import VelocityArea, headings, velocity_area
 
 pytestmark = pytest.mark.usefixtures("x64")
 UP, G, HEIGHT = np.eye(3), 9.81, 0.8
@@ -420,7 +420,7 @@ def test_codes_are_told_apart_in_grey(quantity):
 def test_codes_are_areas_of_colour_with_names():
     codes = np.where(X > 0, Case.C3_1, np.where(Y > 0.5, Case.C1, Case.EMPTY)).astype(np.int8)
     ax = sliced(codes, "case")
-    assert legend(ax) == ["C1: diverges", "C3_1: stops", "EMPTY: no S"]
+    assert legend(ax) == ["C1: diverges", "C3_1: stops where it can stand", "EMPTY: no contact or nowhere to stand"]
     mesh = ax.collections[0]
     np.testing.assert_array_equal(np.asarray(mesh.get_array()).reshape(11, 21), codes.T)
     shown = {to_hex(colour) for colour in mesh.cmap(mesh.norm(np.unique(codes)))}

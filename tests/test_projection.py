@@ -9,8 +9,8 @@ from scipy.optimize import linprog, nnls
 from states import contact_set
 
 import jaxcap
-from jaxcap import projection
-from jaxcap.friction import wrench_rays
+from jaxcap.contacts import projection
+from jaxcap.contacts.friction import wrench_rays
 
 UP = np.eye(3)
 WIDE = rotation(np.pi / 2, 0, 0), rotation(-np.pi / 2, 0, 0)   # normals along -y, +y
@@ -111,7 +111,7 @@ def test_faces_of_nearly_degenerate_contacts(seed, count, tilt, distance, fricti
     contacts = sum(parts[1:], start=parts[0])
     try:
         cone = jaxcap.centroidal_cone(contacts)
-    except jaxcap.projection.ProjectionError as error:
+    except projection.ProjectionError as error:
         assert "faces of" in str(error) and 0 < tilt <= 1e-6
     else:
         assert_same_cone(contacts, cone, 4, functionals=4)

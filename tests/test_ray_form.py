@@ -11,10 +11,10 @@ from states import POINTS, contact_set, each, random_states, stack
 
 import jaxcap
 from jaxcap import Case, Status
-from jaxcap.boundary import End
-from jaxcap.numerics import direction
-from jaxcap.polygon import polygon
-from jaxcap.ray_polygon import ray_polygon
+from jaxcap.numerics.guarded import direction
+from jaxcap.one_state.boundary import End
+from jaxcap.one_state.face_polygon import polygon
+from jaxcap.one_state.ray_polygon import ray_polygon
 from reference import oracles
 from reference.contacts import wrench_rays
 from reference.linear_programs import line_program, solve_acceleration

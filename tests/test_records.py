@@ -9,11 +9,13 @@ import pyarrow.parquet as pq
 import pytest
 from state_files import fake_score, leftovers, read_columns, read_metadata, states, vectors, write_states
 
-from jaxcap.columns import FIELDS, VECTORS, describe
-from jaxcap.contacts import ContactSet
+from jaxcap.contacts.contact_set import ContactSet
 from jaxcap.errors import InputError
-from jaxcap.records import read_states, whole_file, write_scores
-from jaxcap.result import Capturability, Case, Status
+from jaxcap.files.columns import VECTORS, describe
+from jaxcap.files.fields import FIELDS
+from jaxcap.files.records import read_states, write_scores
+from jaxcap.files.whole_file import whole_file
+from jaxcap.one_state.result import Capturability, Case, Status
 
 METADATA = describe(ContactSet(np.zeros((1, 3)), np.eye(3), 0.5), (0, 0, -9.81), 4, np.dtype("float32"))
 PAIRS = [(i, o) for i in ("parquet", "npz") for o in ("parquet", "npz")]

@@ -8,8 +8,8 @@ from states import ROWS, each, random_states
 
 import jaxcap
 from jaxcap import Case
-from jaxcap.numerics import direction
-from jaxcap.polygon import polygon
+from jaxcap.numerics.guarded import direction
+from jaxcap.one_state.face_polygon import polygon
 from reference import algorithm, oracles
 from reference.contacts import wrench_rays
 from reference.linear_programs import line_program, solve_acceleration

@@ -222,7 +222,7 @@ def test_robots_are_what_their_docstrings_say(talos):
     anymal = robots.anymal()
     assert (anymal.model.nq, anymal.model.nv, anymal.collisions) == (19, 18, None)
     assert pin.computeTotalMass(anymal.model) == pytest.approx(30.5, abs=0.05)
-    assert all(anymal.model.existFrame(foot) for foot in robots.ANYMAL_FEET.values())
+    assert all(anymal.model.existFrame(foot.frame) for foot in robots.ANYMAL_FEET.values())
     for sole in ("left_sole", "right_sole"):
         patch, q = robots.TALOS_CONTACTS[sole], talos.postures["half_sitting"]
         position, rotation = robots.contact_placement(talos.model, q, patch)

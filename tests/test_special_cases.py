@@ -289,8 +289,8 @@ def test_a_state_that_is_not_finite_is_undecided(bad):
 
 
 def test_too_many_pieces_are_undecided(monkeypatch):
-    monkeypatch.setattr(sys.modules["jaxcap.walk"], "MAX_PIECES", 1)
-    monkeypatch.setattr(sys.modules["jaxcap.boundary"], "MAX_PIECES", 1)
+    monkeypatch.setattr(sys.modules["jaxcap.one_state.walk"], "MAX_PIECES", 1)
+    monkeypatch.setattr(sys.modules["jaxcap.one_state.boundary"], "MAX_PIECES", 1)
     jax.clear_caches()
     contacts = foot(0, 0.1, frame=rotation(0.2, 0.3, 0.1)) + foot(0.2, -0.1, frame=rotation(-0.3, 0.1, 0.5), z=0.2)
     found = [answer(contacts, [0.1, 0, z], [0.3, 0.3, 0.1]) for z in (0.5, 0.8, 1.1)]
@@ -304,7 +304,7 @@ def test_too_many_swings_keep_the_verdict(monkeypatch):
     _, cones, coms, velocities = random_states(60, 5, 11)
     full = each()(cones, coms, velocities)
     i = int(np.argmax((full.case == Case.C3_3) & full.capturable))
-    monkeypatch.setattr(sys.modules["jaxcap.swings"], "MAX_SWINGS", 0)
+    monkeypatch.setattr(sys.modules["jaxcap.one_state.swings"], "MAX_SWINGS", 0)
     jax.clear_caches()
     cone = jaxcap.CentroidalCone(cones.faces[i], cones.origin[i], np.asarray(cones.length[i]))
     found = jaxcap.capturability(cone, jnp.asarray(coms[i]), jnp.asarray(velocities[i]))

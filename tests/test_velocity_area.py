@@ -9,9 +9,9 @@ from scipy.spatial import ConvexHull
 from states import contact_set
 
 import jaxcap
-from jaxcap.com_area import com_area
-from jaxcap.robustness import robustness
-from jaxcap.velocity_area import headings, sphere, velocity_area
+from jaxcap.regions.com_area import com_area
+from jaxcap.regions.robustness import robustness
+from jaxcap.regions.velocity_area import headings, sphere, velocity_area
 
 pytestmark = pytest.mark.usefixtures("x64")
 G, HEIGHT = 9.81, 0.8

@@ -1,0 +1,134 @@
+"""`jaxcap map`: a kernel map from a contacts file. Importing this module needs tyro (extra `cli`)."""
+
+import sys
+import time
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import jax
+import numpy as np
+import tyro
+
+from jaxcap.commands.compile_cache import compilation_cache
+from jaxcap.commands.options import named_values
+from jaxcap.commands.summary import rounding
+from jaxcap.errors import InputError
+from jaxcap.files.contact_files import read_contact_sets
+from jaxcap.maps.contact_axes import Contacts, given_sets, with_sets
+from jaxcap.maps.grid import POSITION, axes_around, grid_of
+
+MAP = """Map where a robot can stop: capturability over a grid of states.
+
+EXAMPLES
+  jaxcap map feet.yaml -o kernel.zarr
+  jaxcap map feet.yaml -o kernel.nc --axis com_z=0.8 --axis heading=0:360deg:144
+  jaxcap map feet.yaml -o all.zarr --axis com_x=-0.4:0.4:201 --axis com_y=0 \\
+      --axis speed=0:1.5:101 --quantity margin --quantity case
+  jaxcap map feet.yaml -o ice.zarr --axis friction=0.05:0.8:31
+
+CONTACTS is YAML or JSON with one set of contacts, or several; see jaxcap score
+--help.
+
+AXES
+  --axis NAME=VALUE, NAME=FIRST:LAST:COUNT (both ends included) or NAME=A,B,C:
+    com_x, com_y, com_z     CoM position [m]
+    heading                 direction of travel, from x towards y [rad]
+    pitch                   the same, above the horizontal [rad]
+    speed                   [m/s]
+  or, in place of the last three,
+    velocity_x, velocity_y, velocity_z   CoM velocity [m/s]
+  and axes along which the contacts change,
+    friction                the coefficient of all contacts
+    slope                   tilt of all contacts as one body, about a level axis
+                            through their centroid [rad]; the CoM stays
+    downhill                where the slope goes down [rad]; 0 if not given
+    contact_set             numbers of sets in CONTACTS, from 0; all of them if
+                            there are several
+  All in the frame of the contacts, z up. Angles may be given in degrees:
+  heading=0:360deg:72. A range of headings over a full circle leaves out its
+  end, which is its beginning.
+  Axes that are not given: com_x and com_y from 0.1 m before the contacts to
+  0.1 m beyond, 41 values each; com_z 0.8 m above the lowest contact;
+  72 headings all around; pitch or velocity_z 0.
+
+QUANTITIES
+  min_speed and max_speed, the capturable speeds along each direction [m/s],
+  are exact and need no speed: they are the whole kernel, and what is mapped
+  where no speed is given. Otherwise capturable, margin and case.
+  --quantity NAME, perhaps several times: any column that jaxcap score writes.
+
+OUT
+  .zarr  Zarr, written piece by piece: may be larger than memory. While it grows
+         it is OUT.partial. After an interruption, of whatever kind, the same
+         command goes on from there, and the result is the same to the bit.
+  .nc    netCDF: has to fit into memory, and is written whole or not at all.
+  Both open with xarray.open_dataset: dimensions in the order given, units, the
+  contacts, gravity, sides and version as attributes. Angles are in radians.
+
+COMPILING
+  Takes seconds, once a run. With --cache DIR the programs are kept in DIR,
+  which is made if need be, and the next run takes them from there. They are
+  code: use no DIR that is written to by anyone whom you do not trust.
+
+EXIT CODES
+  0 done; 2 bad input, and one line says which; 130 interrupted.
+"""
+"""What `jaxcap map --help` says above the list of options; its first line also stands in `jaxcap --help`."""
+
+
+def map_kernel(
+    contacts: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="CONTACTS")],
+    *,
+    output: Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="OUT")],
+    axis: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="NAME=VALUES")] = (),
+    quantity: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="NAME")] = (),
+    dtype: Literal["float32", "float64"] = "float32",
+    sides: int = 4,
+    cache: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
+    force: bool = False,
+) -> None:
+    """Computes a map and writes it; see MAP.
+
+    Raises InputError before anything is computed if an option or a file cannot be used, and MissingExtra.
+
+    Args:
+        contacts: File of contacts, .yaml or .json.
+        output: Map to write, .zarr or .nc.
+        axis: Values of an axis of the grid; as often as needed.
+        quantity: What to map; as often as needed.
+        dtype: Precision of the computation and of the figures written.
+        sides: Edges of the pyramid that replaces each friction cone, at least 3.
+        cache: Keep compiled programs in this directory.
+        force: Overwrite OUT if it exists.
+    """
+    from jaxcap.maps.kernel import write_map
+
+    if sides < 3:
+        raise InputError(f"--sides {sides} (expected at least 3)")
+    stance = _contacts(contacts)
+    given = named_values("--axis", axis, "NAME=VALUES, for example com_x=-0.4:0.4:201")
+    axes = with_sets(stance, axes_around(given_sets(stance).values(), given))
+    points = grid_of(axes)
+    start = time.perf_counter()
+    try:
+        with jax.enable_x64(dtype == "float64"), compilation_cache(cache):
+            options: dict[str, Any] = {"sides": sides, "dtype": dtype, "force": force, "progress": True}
+            computed = write_map(output, stance, axes, quantity or None, **options)
+    except (KeyboardInterrupt, SystemExit):
+        if output.suffix.lower() == ".zarr":
+            print(f"note: the same command goes on where this one ended ({output}.partial)", file=sys.stderr)
+        raise
+    seconds = time.perf_counter() - start
+    if coarse := rounding(np.array([[np.abs(points.axes[name]).max() for name in POSITION]], dtype)):
+        print(f"note: {output}: {coarse}", file=sys.stderr)
+    extent = " x ".join(f"{name} {size}" for name, size in zip(points.dims, points.shape, strict=True)) or "one point"
+    before = f"; {points.size - computed} were there" if computed < points.size else ""
+    rate = f"{computed / seconds:.3g} states/s ({seconds:.2f} s with compiling; {dtype}, {jax.default_backend()})"
+    print(f"{output}: {extent}, {points.size} states{before}\n{rate}")
+
+
+def _contacts(path: Path) -> Contacts:
+    """The contact sets of a file, with their names if all have one."""
+    sets, names = read_contact_sets(path)
+    named = {name: contacts for name, contacts in zip(names, sets, strict=True) if name}
+    return named if len(named) == len(sets) else sets

@@ -1,0 +1,21 @@
+"""Options of the form NAME=VALUE."""
+
+from collections.abc import Iterable
+
+from jaxcap.errors import InputError
+
+
+def named_values(option: str, given: Iterable[str], expected: str) -> dict[str, str]:
+    """Names and texts of the values of an option of the command line, NAME=TEXT each, in the order given.
+
+    Raises InputError where there is no name, or one twice.
+    """
+    values = {}
+    for text in given:
+        name, equals, value = text.partition("=")
+        if not equals:
+            raise InputError(f"{option} {text} (expected {expected})")
+        if name in values:
+            raise InputError(f"{option} {name} is given twice")
+        values[name] = value
+    return values

@@ -1,0 +1,152 @@
+"""`jaxcap plot`: a picture of a kernel map. Importing this module needs tyro (extra `cli`)."""
+
+import math
+import sys
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+
+from jaxcap.commands.options import named_values
+from jaxcap.contacts.contact_set import ContactSet
+from jaxcap.errors import InputError, needs_extra
+from jaxcap.files.contact_files import read_contact_sets
+from jaxcap.files.whole_file import check_output, whole_file
+from jaxcap.maps.grid import AXES
+
+PLOT = """Draw a kernel map: where a robot can stop, and which pushes it stands.
+
+EXAMPLES
+  jaxcap map feet.yaml -o kernel.zarr
+  jaxcap plot kernel.zarr                    # kernel.png
+  jaxcap plot kernel.zarr -o left.pdf --select heading=90deg
+  jaxcap plot all.zarr -o margin.png --quantity margin --x com_x --y speed
+
+MAP is what jaxcap map writes, Zarr (.zarr) or netCDF (.nc).
+
+WITHOUT OPTIONS
+  A map with max_speed over com_x, com_y and heading becomes two pictures of the
+  stance from above. Left: the largest CoM speed that can be stopped, whatever
+  its heading, over the CoM's position; zero outside the support polygon. Right:
+  the velocities that can be stopped from a few positions, as polar plots.
+  Any other map becomes a slice: margin, max_speed or its first quantity, over
+  its first two axes.
+
+A SLICE
+  --quantity, --x and --y choose what is drawn over which axes of the map.
+  --select NAME=VALUE, perhaps several times, chooses the value of another axis;
+  the nearest grid point is taken, and angles may end in deg. Axes that are not
+  named are taken at the middle of the map, headings and contact sets at the
+  first, and a note says so. The thick line is the zero level. Infinite figures
+  and those that are no numbers are hatched, and the legend says why.
+
+FIGURE
+  .png, .pdf or .svg; by default MAP with the extension .png. It is written
+  whole or not at all.
+
+EXIT CODES
+  0 done; 2 bad input, and one line says which; 130 interrupted.
+"""
+"""What `jaxcap plot --help` says above the list of options; its first line also stands in `jaxcap --help`."""
+
+FIGURES = (".png", ".pdf", ".svg")
+DOTS = 200
+"""Dots per inch of a PNG."""
+
+
+def plot(
+    map_file: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="MAP")],
+    *,
+    output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"], metavar="FIGURE")] = None,
+    quantity: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None,
+    x: Annotated[str | None, tyro.conf.arg(metavar="AXIS")] = None,
+    y: Annotated[str | None, tyro.conf.arg(metavar="AXIS")] = None,
+    select: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="NAME=VALUE")] = (),
+    force: bool = False,
+) -> None:
+    """Draws a map; see PLOT.
+
+    Raises InputError before anything is drawn if an option or a file cannot be used, and MissingExtra.
+
+    Args:
+        map_file: Map to draw, .zarr or .nc.
+        output: Figure to write, .png, .pdf or .svg; by default MAP with the extension .png.
+        quantity: What to draw; by default the margin, or max_speed, or the first quantity of the map.
+        x: Axis of the map that goes to the right; by default the first.
+        y: Axis of the map that goes up; by default the second.
+        select: Value of another axis; as often as needed.
+        force: Overwrite FIGURE if it exists.
+    """
+    from jaxcap.plotting.map_figure import map_figure
+    from jaxcap.plotting.words import value_of
+
+    output = map_file.with_suffix(".png") if output is None else output
+    check_output(output, force=force, extensions=FIGURES)
+    selection = _selection(select)
+    with _opened(map_file) as dataset:
+        sets = _contact_sets(map_file, dataset.attrs)
+        try:
+            figure, chosen = map_figure(dataset, sets, quantity, (x, y), selection)
+        except ValueError as error:
+            raise InputError(f"{map_file}: {error}") from error
+        for name, value in chosen.items():
+            shown, size = value_of(dataset[name].sel({name: value})), dataset.sizes[name]
+            print(f"note: {map_file}: {name} = {shown}, one of {size} (--select {name}=...)", file=sys.stderr)
+    with whole_file(output, force=force) as handle:
+        figure.savefig(handle, format=output.suffix[1:].lower(), dpi=DOTS)
+    print(output)
+
+
+def _selection(given: tuple[str, ...]) -> dict[str, float]:
+    """Names and values, angles in radians."""
+    selection = {}
+    for name, value in named_values("--select", given, "NAME=VALUE, for example heading=90deg").items():
+        degrees = value.endswith("deg") and name in AXES and AXES[name].unit == "rad"
+        try:
+            number = float(value.removesuffix("deg") if degrees else value)
+        except ValueError:
+            raise InputError(f"--select {name}={value} (expected a number after {name}=)") from None
+        if not math.isfinite(number):
+            raise InputError(f"--select {name}={value} (expected a finite number)")
+        selection[name] = math.radians(number) if degrees else number
+    return selection
+
+
+def _opened(path: Path) -> Any:
+    """The map, lazily. Raises InputError for what is not there, and what is no map."""
+    with needs_extra("maps", "reading a map"):
+        import xarray as xr
+        import zarr  # noqa: F401
+    extension = path.suffix.lower()
+    if extension not in (".zarr", ".nc"):
+        raise InputError(f"{path}: unknown extension {path.suffix!r} (expected .zarr or .nc, from jaxcap map)")
+    if not path.exists():
+        partial = path.with_name(path.name + ".partial").exists()
+        raise InputError(f"{path}: {'not complete: jaxcap map goes on with it' if partial else 'no such file'}")
+    try:
+        if extension == ".zarr":
+            dataset = xr.open_dataset(path, engine="zarr", consolidated=False)
+        else:
+            dataset = xr.open_dataset(path, engine="h5netcdf")
+    except ImportError as error:
+        raise InputError(f"{path}: cannot be read: {error}") from error
+    except (OSError, ValueError, KeyError) as error:
+        raise InputError(f"{path}: cannot be read as a map: {str(error).partition(chr(10))[0]}") from error
+    if not dataset.data_vars:
+        raise InputError(f"{path}: holds no quantity (expected a map from jaxcap map)")
+    return dataset
+
+
+def _contact_sets(path: Path, attributes: Mapping[str, Any]) -> tuple[ContactSet, ...]:
+    """The contact sets of the map, as far as it tells them."""
+    if "contacts" not in attributes:
+        return ()
+    with tempfile.TemporaryDirectory() as directory:
+        file = Path(directory) / "contacts.json"
+        file.write_text(str(attributes["contacts"]), encoding="utf-8")
+        try:
+            return read_contact_sets(file).sets
+        except InputError as error:
+            raise InputError(f"{path}: attribute 'contacts': {str(error).removeprefix(f'{file}: ')}") from error

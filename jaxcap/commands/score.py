@@ -1,0 +1,172 @@
+"""`jaxcap score`: parse, call, write. Importing this module needs tyro and tqdm (extra `cli`)."""
+
+import sys
+import time
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Literal, NamedTuple
+
+import jax
+import numpy as np
+import tyro
+from tqdm import tqdm
+
+from jaxcap.commands.compile_cache import compilation_cache
+from jaxcap.commands.scorers import Scorer, scorer_of
+from jaxcap.commands.summary import Summary, rounding
+from jaxcap.contacts.contact_set import ContactSet
+from jaxcap.contacts.conventions import GRAVITY
+from jaxcap.errors import InputError
+from jaxcap.files.columns import StateBatch, describe, refuse_clashes
+from jaxcap.files.contact_columns import CHOICE, POINTS, BadRows, RowContacts
+from jaxcap.files.contact_files import ContactSets, read_contact_sets
+from jaxcap.files.fields import BASELINES, FIELDS
+from jaxcap.files.records import ScoreWriter, read_states, write_scores
+from jaxcap.files.state_file import StateFile
+from jaxcap.files.whole_file import check_output
+from jaxcap.one_state.result import Capturability
+from jaxcap.regions.capture_point import Baselines
+
+ABOVE_CONTACTS = "of the CoM above the mean of the contact points"
+"""What the metadata say about the default height."""
+
+
+def score(
+    states: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="STATES")],
+    *,
+    output: Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="OUT")],
+    contacts: Annotated[Path | None, tyro.conf.arg(metavar="CONTACTS")] = None,
+    dtype: Literal["float32", "float64"] = "float32",
+    sides: int = 4,
+    batch_size: int = 65536,
+    neighbours: bool = False,
+    baselines: bool = False,
+    height: Annotated[float | None, tyro.conf.arg(metavar="H")] = None,
+    cache: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
+    force: bool = False,
+) -> None:
+    """Scores a file of states, writes the answers beside them and prints a summary; see SCORE.
+
+    Raises InputError before anything is computed if an option, a file or a column cannot be used, and MissingExtra.
+
+    Args:
+        states: File of states, .parquet or .npz.
+        output: File to write, .parquet or .npz.
+        contacts: File of contacts, .yaml or .json; not needed if STATES has them.
+        dtype: Precision of the computation and of the figures written.
+        sides: Edges of the pyramid that replaces each friction cone, at least 3.
+        batch_size: States that are read, scored and written at a time.
+        neighbours: Rows that follow each other are similar states: saves work where each has its own contacts.
+        baselines: Also write how far the capture point lies inside support polygon and hull of the contacts.
+        height: CoM height for the capture point [m]; by default that above the contacts of each row.
+        cache: Keep compiled programs in this directory.
+        force: Overwrite OUT if it exists.
+    """
+    _check_options(sides, batch_size, baselines, height)
+    check_output(output, force=force, inputs=(states, contacts) if contacts else (states,))
+    sets = read_contact_sets(contacts) if contacts else None
+    with jax.enable_x64(dtype == "float64"), read_states(states, batch_size, dtype) as source, compilation_cache(cache):
+        for name in source.skipped:
+            print(f"note: {states}: {name!r} is not carried through: not one value for each state", file=sys.stderr)
+        described = _contacts(states, source.contacts, contacts, sets)
+        size = min(batch_size, source.rows)
+        fields, more = dict(FIELDS), {}
+        if baselines:
+            refuse_clashes(states, source.types, BASELINES)
+            fields, more = FIELDS | BASELINES, {"capture_point_height": ABOVE_CONTACTS if height is None else height}
+        scorer = scorer_of(described, contacts, size, sides, neighbours)
+        answer = partial(_answered, scorer, baselines=baselines, height=height)
+        metadata = describe(described, GRAVITY, sides, np.dtype(dtype), fields, **more)
+        with write_scores(output, source.types, metadata, dtype, fields=fields, force=force) as sink:
+            done = _score_all(answer, source, sink)
+    for note in done.notes:
+        print(f"note: {states}: {note}", file=sys.stderr)
+    print(done.summary.table())
+    rate = f"{done.summary.states / done.seconds:.3g} states/s" if done.summary.states else "no states"
+    print(f"\n{rate} ({done.seconds:.2f} s, after {done.compiled:.2f} s of compiling; {dtype}, {jax.default_backend()})")
+
+
+def _check_options(sides: int, batch_size: int, baselines: bool, height: float | None) -> None:
+    """Raises InputError for an option that cannot be used."""
+    if height is not None and not baselines:
+        raise InputError(f"--height {height} (expected with --baselines, which alone needs it)")
+    if height is not None and not 0 < height < np.inf:
+        raise InputError(f"--height {height} (expected a positive number of metres)")
+    if sides < 3:
+        raise InputError(f"--sides {sides} (expected at least 3)")
+    if batch_size < 1:
+        raise InputError(f"--batch-size {batch_size} (expected at least 1)")
+
+
+def _contacts(
+    states: Path, columns: tuple[str, ...], path: Path | None, sets: ContactSets | None
+) -> ContactSet | ContactSets | tuple[str, ...]:
+    """What the contacts are: one set for all states, sets that CHOICE chooses from, or columns. Raises InputError."""
+    if columns and columns != (CHOICE,):
+        if sets is not None:
+            raise InputError(f"{states}: column {columns[0]!r} gives each row its contacts (expected no --contacts {path})")
+        return columns
+    if sets is None:
+        expected = f"--contacts, in which {CHOICE!r} chooses" if columns else f"--contacts, or columns {POINTS!r}, ..."
+        raise InputError(f"{states}: no contacts (expected {expected})")
+    if columns:
+        return sets
+    if len(sets.sets) > 1:
+        raise InputError(f"{states}: no column {CHOICE!r}, which chooses among the {len(sets.sets)} sets of {path}")
+    return sets.sets[0]
+
+
+class _Answered(NamedTuple):
+    """A batch, answered."""
+
+    scores: Capturability
+    baselines: tuple[Baselines, ...]
+    """One, if it was asked for."""
+    bad: BadRows
+    """Rows whose contacts cannot be used."""
+    seconds: float
+    """Time it took [s]."""
+
+
+def _answered(scorer: Scorer, batch: StateBatch, baselines: bool, height: float | None) -> _Answered:
+    """Scores a batch."""
+    start = time.perf_counter()
+    rows = batch.contacts, batch.coms, batch.com_velocities
+    scores, bad = scorer.score(*rows)
+    beside = (scorer.baselines(*rows, height),) if baselines else ()
+    return _Answered(scores, beside, bad, time.perf_counter() - start)
+
+
+class _Run(NamedTuple):
+    """What there is to say at the end."""
+
+    summary: Summary
+    seconds: float
+    """Time spent scoring [s]."""
+    compiled: float
+    """Time spent compiling [s]."""
+    notes: tuple[str, ...]
+    """How many rows have contacts that cannot be used, and why the first; that positions are rounded. Perhaps none."""
+
+
+def _score_all(answer: Callable[[StateBatch], _Answered], source: StateFile, sink: ScoreWriter) -> _Run:
+    """Scores and writes every batch."""
+    summary, seconds, compiled, widest, unusable, first, coarse = Summary(), 0.0, 0.0, -1, 0, "", ""
+    with tqdm(total=source.rows, unit=" states", unit_scale=True, disable=None) as bar:
+        for batch in source:
+            width = batch.contacts.mask.shape[1] if isinstance(batch.contacts, RowContacts) else 0
+            if width > widest:  # compiles, by scoring states that are soon done with
+                widest = width
+                compiled += answer(batch._replace(coms=np.full_like(batch.coms, np.nan))).seconds
+            scores, beside, bad, spent = answer(batch)
+            seconds += spent
+            if bad.first is not None:
+                first = first or f"first row {summary.states + bad.first}: {bad.why}"
+                unusable += int(bad.rows.sum())
+            sink.write(batch.columns, scores, *beside)
+            summary.add(scores)
+            coarse = coarse or rounding(batch.coms)
+            bar.update(len(batch.coms))
+    without = f"the contacts of {unusable} rows cannot be used, these have status nonfinite; {first}" if unusable else ""
+    return _Run(summary, seconds, compiled, tuple(filter(None, (without, coarse))))

@@ -1,0 +1,97 @@
+"""The closing table: counts of cases and statuses, quantiles of the margin, in memory that does not grow."""
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxcap.files.fields import CASES, STATUSES
+from jaxcap.one_state.result import Capturability
+
+QUANTILES = (0.05, 0.25, 0.50, 0.75, 0.95)
+
+COARSE = 1e-4
+"""Positions that are rounded to more than this are worth a word [m]."""
+ENOUGH = 1000
+"""So many rows of a batch, evenly spread, tell how far away all are."""
+
+
+def rounding(coms: Float[np.ndarray, "n 3"]) -> str:
+    """What there is to say where half of the positions are so far from the origin that single precision rounds them; else
+    nothing.
+    """
+    far = np.abs(coms[:: max(1, len(coms) // ENOUGH)]).max(axis=1)
+    far = far[np.isfinite(far)]
+    typical = np.median(far) if len(far) else far.dtype.type(0)   # a single row that is far off is no matter
+    step = np.spacing(typical)
+    if coms.dtype != np.float32 or step <= COARSE:
+        return ""
+    return f"positions {typical:.3g} m from the origin are rounded to {step:.2g} m (--dtype float64 keeps them)"
+
+
+class Quantiles:
+    """Quantiles of a stream of numbers, to within 0.025 % of the value; NaN is left out.
+
+    A file of states may be larger than memory, and so may the margins of it. So the numbers are rounded to 12 bits, 2,048
+    values for each power of two, and equal ones are kept once, with how many they are. Zero and infinities are exact, and
+    the order of the numbers does not matter.
+    """
+
+    BITS = 12
+
+    def __init__(self) -> None:
+        self._values, self._weights = np.zeros(0), np.zeros(0, np.int64)
+
+    def add(self, values: Float[np.ndarray, " n"]) -> None:
+        """Takes these values as well."""
+        mantissa, exponent = np.frexp(values[~np.isnan(values)].astype(np.float64))
+        rounded = np.ldexp(np.rint(mantissa * (1 << self.BITS)), exponent - self.BITS)
+        self._values, places = np.unique(np.concatenate([self._values, rounded]), return_inverse=True)
+        weights = np.concatenate([self._weights, np.ones(len(rounded), np.int64)])
+        self._weights = np.bincount(places, weights, minlength=len(self._values)).astype(np.int64)
+
+    def __len__(self) -> int:
+        """How many numbers there were."""
+        return int(self._weights.sum())
+
+    def __call__(self, share: float) -> float:
+        """Smallest of the numbers that at least this share of them does not exceed; NaN if there are none."""
+        if not len(self):
+            return float("nan")
+        wanted = max(1, np.ceil(share * len(self)))
+        return float(self._values[np.searchsorted(np.cumsum(self._weights), wanted)])
+
+
+class Summary:
+    """What is counted while a file is scored."""
+
+    def __init__(self) -> None:
+        self.states = 0
+        self.capturable = 0
+        self.cases = dict.fromkeys(CASES, 0)
+        self.statuses = dict.fromkeys(STATUSES, 0)
+        self.margin = Quantiles()
+
+    def add(self, out: Capturability) -> None:
+        """Counts a batch of answers, arrays (n,)."""
+        case, status = np.asarray(out.case), np.asarray(out.status)
+        self.states += len(case)
+        self.capturable += int(np.asarray(out.capturable).sum())
+        for ending in self.cases:
+            self.cases[ending] += int((case == ending).sum())
+        for trust in self.statuses:
+            self.statuses[trust] += int((status == trust).sum())
+        self.margin.add(np.asarray(out.margin))
+
+    def table(self) -> str:
+        """Counts and quantiles, as lines of text."""
+        lines = [self._line("states", "", self.states), self._line("capturable", "", self.capturable), "", "case"]
+        lines += [self._line(f"  {case.name}", CASES[case], n) for case, n in self.cases.items()]
+        lines += ["", "status"]
+        lines += [self._line(f"  {status.name.lower()}", STATUSES[status], n) for status, n in self.statuses.items()]
+        lines += ["", f"margin [m/s], of {len(self.margin)} states"]
+        lines += ["  " + "".join(f"{share:>10.0%}" for share in QUANTILES)]
+        lines += ["  " + "".join(f"{self.margin(share):>10.3g}" for share in QUANTILES)]
+        return "\n".join(lines)
+
+    def _line(self, name: str, words: str, n: int) -> str:
+        share = f"{n / self.states:9.2%}" if self.states else f"{'-':>9}"
+        return f"{name:<16}{words:<30}{n:>14}{share}"

@@ -1,0 +1,5 @@
+"""Where the robot touches the world: contact sets -> friction pyramids -> the centroidal cone, by faces or by rays.
+
+Begin with `contact_set`, then `friction` (edges and wrench rays), `cone` (the two forms), `projection` (rays to faces,
+on the host). `conventions` holds gravity and the type of an array. May import `numerics`.
+"""

@@ -1,0 +1,21 @@
+"""Answers over grids: kernel maps in memory, Zarr or netCDF. `kernel_map` and `write_map` need the extra `maps`.
+
+Begin with `kernel`, then `grid` (axes), `blocks` (how a grid is cut and answered), `store` (files that grow and
+resume). May import every room but `plotting` and `commands`.
+"""
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from jaxcap.maps.kernel import EXTENSIONS as EXTENSIONS
+    from jaxcap.maps.kernel import kernel_map as kernel_map
+    from jaxcap.maps.kernel import write_map as write_map
+
+
+def __getattr__(name: str) -> Any:
+    """The public functions when they are asked for: pictures and commands use the grid alone, and have no need of xarray."""
+    if name not in ("EXTENSIONS", "kernel_map", "write_map"):
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from jaxcap.maps import kernel
+
+    return getattr(kernel, name)

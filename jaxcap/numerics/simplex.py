@@ -1,0 +1,326 @@
+"""A small simplex method with fixed shapes, for many programs side by side.
+
+The programs have six rows, one free variable z, and a weight for each ray:
+
+    minimise z  such that  rays @ weights + free * z = target,  weights >= 0.
+
+Lanes come last. Degenerate programs are the normal case here (coplanar feet with equal frames). What is done about it: the
+caller moves the target a little into the cone, which breaks ties as Charnes's perturbation does; a pivot is the largest of
+those that rounding cannot tell apart (Harris); the inverse of the basis is improved by a Newton step at the end. A cone
+without inside, as that of one or two points, needs no special case: unit columns fill the basis where no ray can, and
+their weights must vanish, but for rounding. If all this does not end it in time, Bland's rule takes over.
+"""
+
+from enum import IntEnum
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxcap.numerics.guarded import tolerances
+
+FREE = -1
+"""Index of the free variable's column in a basis."""
+UNIT = -2
+"""Index of the first unit column; the others follow downwards."""
+MAX_PIVOTS = 100
+"""Most pivots of one program."""
+BLAND = 40
+"""From here on, Bland's rule: of all rays that improve, and of all columns that may leave, the first. It cannot cycle."""
+
+LOST_UNIT = 8
+"""How much rather a unit column leaves than a ray, where the free variable comes in."""
+LEAST_FIT = 1e-3
+"""A free column fits in another's place if its own share of it is at least this much of the largest."""
+WORN = 0.1
+"""Largest error of an inverse that a Newton step may mend: it squares the error."""
+
+
+class Outcome(IntEnum):
+    """How a program ends."""
+
+    OPTIMAL = 0
+    INFEASIBLE = 1
+    UNBOUNDED = 2
+    UNDECIDED = 3
+    """More than MAX_PIVOTS."""
+
+
+class Program(NamedTuple):
+    """What is to be solved. All in one scale: unit forces, torques over the size of the stance."""
+
+    rays: Float[Array, "6 r *#n"]
+    """Columns; zeros are padding."""
+    free: Float[Array, "6 *n"]
+    """The free variable's column; zero where there is none."""
+    target: Float[Array, "6 *n"]
+    scale: Float[Array, "*n"]
+    """Size of the target [m/s^2]."""
+
+
+class Basis(NamedTuple):
+    """Six columns of a program, one for each row."""
+
+    index: Int[Array, "6 *n"]
+    """Number of a ray, FREE, or UNIT, UNIT - 1, ..."""
+    inverse: Float[Array, "6 6 *n"]
+    """Of the matrix of these columns: times a vector, their weights in it."""
+
+
+class Solution(NamedTuple):
+    """Where the simplex ends."""
+
+    basis: Basis
+    outcome: Int[Array, "*n"]
+    pivots: Int[Array, "*n"]
+
+
+def identity(shape: tuple, dtype) -> Basis:
+    """The basis of unit columns."""
+    over_lanes = lambda array: jnp.broadcast_to(array.reshape(*array.shape, *[1] * len(shape)), (*array.shape, *shape))
+    return Basis(over_lanes(UNIT - jnp.arange(6, dtype=jnp.int32)), over_lanes(jnp.eye(6, dtype=dtype)))
+
+
+def times(matrix: Float[Array, "6 6 *n"], vector: Float[Array, "6 *n"]) -> Float[Array, "6 *n"]:
+    """Product, lane by lane. The sum is written out: XLA's reductions over computed products are slow on a CPU."""
+    return sum(matrix[:, i] * vector[i] for i in range(6))
+
+
+def mixture(rays: Float[Array, "6 r *#n"]) -> Float[Array, "6 *#n"]:
+    """A random amount of every ray, of all together about four: what a target is moved by, a little.
+
+    Ties are broken by it, and the cone is closed in spite of rounding. Regular amounts would cancel each other around a
+    pyramid.
+    """
+    amounts = jnp.asarray(np.random.default_rng(0).exponential(size=rays.shape[1]), rays.dtype)
+    return jnp.tensordot(amounts, rays, axes=(0, 1)) * (4 / rays.shape[1])
+
+
+def combination(vector: Float[Array, "6 *n"], rows: Float[Array, "6 k *#n"]) -> Float[Array, "k *n"]:
+    """Sum of rows with these factors: a row of the simplex tableau, of all rays or of a basis."""
+    return sum(rows[i] * vector[i] for i in range(6))
+
+
+def ray(rays: Float[Array, "6 r *#n"], index: Int[Array, "*n"]) -> Float[Array, "6 *n"]:
+    """One column for each lane."""
+    return jnp.take_along_axis(rays, jnp.clip(index, 0, rays.shape[1] - 1)[None, None], axis=1)[:, 0]
+
+
+def columns(program: Program, index: Int[Array, "6 *n"]) -> Float[Array, "6 6 *n"]:
+    """The matrix of a basis."""
+    rays = jnp.take_along_axis(program.rays, jnp.clip(index, 0, program.rays.shape[1] - 1)[None], axis=1)
+    unit = (UNIT - index == jnp.arange(6).reshape(6, *[1] * index.ndim)).astype(rays.dtype)
+    return jnp.where(index >= 0, rays, jnp.where(index == FREE, program.free[:, None], unit))
+
+
+@jax.custom_jvp
+def weights(inverse: Float[Array, "6 6 *n"], matrix: Float[Array, "6 6 *n"], target: Float[Array, "6 *n"]):
+    """The weights of a basis with this matrix in the target; differentiable in matrix and target, not in the inverse."""
+    return times(inverse, target)
+
+
+@weights.defjvp
+def _weights_jvp(primals, tangents):
+    (inverse, _, target), (_, matrix, moved) = primals, tangents
+    found = times(inverse, target)
+    return found, times(inverse, moved - times(matrix, found))
+
+
+def pivot(basis: Basis, leaving: Bool[Array, "6 *n"], entering: Int[Array, "*n"], direction, go) -> Basis:
+    """The basis with one column replaced, in lanes that `go`.
+
+    leaving: one row of six. direction: weights of the entering column in the basis.
+    """
+    row = combination(leaving.astype(direction.dtype), basis.inverse)
+    element = jnp.sum(jnp.where(leaving, direction, 0), axis=0)
+    row = row / jnp.where(go, element, 1)
+    change = jnp.where(go, jnp.where(leaving, direction - 1, direction), 0)
+    inverse = basis.inverse - change[:, None] * row[None]
+    return Basis(jnp.where(leaving & go, entering, basis.index).astype(jnp.int32), inverse)
+
+
+def first_of(values: Float[Array, "k *n"], least: Float[Array, "*n"]) -> Int[Array, "*n"]:
+    """The place of the first value along the first axis that is at least this large; k where there is none."""
+    places = jnp.arange(len(values), dtype=jnp.int32).reshape(-1, *[1] * (values.ndim - 1))
+    return jnp.min(jnp.where(values >= least, places, len(values)), axis=0)
+
+
+def largest(values: Float[Array, "6 *n"]) -> tuple[Float[Array, "*n"], Bool[Array, "6 *n"]]:
+    """The largest of six, and its place: the first of several."""
+    place = jnp.argmax(values, axis=0)
+    return jnp.max(values, axis=0), place == jnp.arange(6).reshape(6, *[1] * place.ndim)
+
+
+def freed(program: Program, basis: Basis) -> Basis:
+    """The basis with the free variable of this program, in place of another program's or of the best unit column."""
+    bound = tolerances(program.target.dtype).pivot
+    stale = basis.index == FREE
+    row = combination(stale.astype(program.target.dtype), basis.inverse)
+    size, unit = largest(jnp.abs(row))
+    axis = jnp.argmax(unit, axis=0).astype(jnp.int32)
+    out = jnp.any(stale, axis=0)
+    unit_direction = jnp.sum(jnp.where(unit[None], basis.inverse, 0), axis=1)
+    basis = pivot(basis, stale, UNIT - axis, unit_direction, out & (size > 0))
+    direction = times(basis.inverse, program.free)
+    # A unit column is as good as lost; among the others, the largest pivot.
+    size, leaving = largest(jnp.where(basis.index <= UNIT, LOST_UNIT, 1) * jnp.abs(direction))
+    found = size > bound * jnp.max(jnp.abs(program.free), axis=0)
+    return pivot(basis, leaving, jnp.full(size.shape, FREE, jnp.int32), direction, found)
+
+
+def factorised(program: Program, index: Int[Array, "6 *n"]) -> Basis:
+    """The basis of these columns, by Gauss-Jordan elimination; a column that depends on the others stays out."""
+    bound = tolerances(program.target.dtype).pivot
+    basis = identity(index.shape[1:], program.target.dtype)
+    matrix = columns(program, index)
+    for k in range(6):
+        direction = times(basis.inverse, matrix[:, k])
+        size, leaving = largest(jnp.where(basis.index <= UNIT, jnp.abs(direction), 0))
+        basis = pivot(basis, leaving, index[k], direction, (size > bound) & (index[k] > UNIT))
+    return basis
+
+
+def improved(program: Program, basis: Basis) -> Basis:
+    """A Newton step for the inverse, which pivots have spoilt."""
+    return _newton(program, basis)[0]
+
+
+def renewed(program: Program, basis: Basis) -> Basis:
+    """The basis of a similar program as one of this: other free column, rays perhaps a little different.
+
+    Where the free column does not fit, or the rays have changed so much that the inverse is none, it begins anew.
+    """
+    leaving, direction = basis.index == FREE, times(basis.inverse, program.free)
+    own = jnp.abs(jnp.sum(jnp.where(leaving, direction, 0), axis=0))
+    fits = own > LEAST_FIT * jnp.max(jnp.abs(direction), axis=0)
+    better, error = _newton(program, pivot(basis, leaving, jnp.full(fits.shape, FREE, jnp.int32), direction, fits))
+    good = fits & (error < WORN)
+
+    def mended():
+        anew = freed(program, identity(fits.shape, direction.dtype))
+        return jax.tree.map(lambda old, new: jnp.where(good, old, new), better, anew)
+
+    return jax.lax.cond(jnp.all(good), lambda: better, mended)
+
+
+def _newton(program: Program, basis: Basis) -> tuple[Basis, Float[Array, "*n"]]:
+    """The basis after a Newton step for its inverse, and the largest error before."""
+    matrix, inverse = columns(program, basis.index), basis.inverse
+    product = sum(matrix[:, i, None] * inverse[None, i] for i in range(6))
+    error = jnp.eye(6, dtype=inverse.dtype).reshape(6, 6, *[1] * (inverse.ndim - 2)) - product
+    better = inverse + sum(inverse[:, i, None] * error[None, i] for i in range(6))
+    return basis._replace(inverse=better), jnp.max(jnp.abs(error), axis=(0, 1))
+
+
+class SimplexState(NamedTuple):
+    """Where the simplex stands."""
+
+    solution: Solution
+    running: Bool[Array, "*n"]
+    flat: Bool[Array, "*n"]
+    """No ray takes over from the unit columns that are left: their weights may be as large as the slack."""
+    count: Int[Array, ""]
+
+
+def solve(program: Program, basis: Basis, active: Bool[Array, "*n"]) -> Solution:
+    """Minimise from any basis that holds this program's free variable (see `freed`), in the lanes that are active.
+
+    While some weight of the basis is negative, or one of a unit column is not zero, the sum of what is missing is made
+    smaller; then z. The basis of a similar program is therefore as good a start as it is near.
+    """
+    outcome = jnp.full(active.shape, Outcome.UNDECIDED, jnp.int32)
+    start = SimplexState(Solution(basis, outcome, jnp.zeros(active.shape, jnp.int32)), active, ~active, jnp.int32(0))
+    last = jax.lax.while_loop(
+        lambda state: jnp.any(state.running) & (state.count < MAX_PIVOTS), lambda state: _step(program, state), start
+    )
+    return last.solution
+
+
+def _step(program: Program, state: SimplexState) -> SimplexState:
+    """One pivot, or the end."""
+    (basis, outcome, pivots), running, flat, count = state
+    late = count >= BLAND
+    held = _held(program, basis, flat)
+    normal = combination(held.objective(basis).astype(held.weights.dtype), basis.inverse)
+    entering, improves = _entering(program, normal, late)
+    improves &= running
+    direction = times(basis.inverse, ray(program.rays, entering))
+    leaving, gives_way = _leaving(program, basis, held, direction, late)
+
+    go = improves & gives_way
+    stuck = running & ~improves & held.seeking
+    flattens = stuck & _within_slack(program, basis, held) & ~flat
+    ending = jnp.where(stuck, Outcome.INFEASIBLE, Outcome.OPTIMAL)
+    outcome = jnp.where(running & ~improves & ~flattens, ending, outcome)
+    # No column gives way: z falls without end. What is missing cannot, so there it is rounding that fails.
+    endless = jnp.where(held.seeking, Outcome.UNDECIDED, Outcome.UNBOUNDED)
+    outcome = jnp.where(improves & ~gives_way, endless, outcome)
+    basis = pivot(basis, leaving, entering, direction, go)
+    return SimplexState(Solution(basis, outcome.astype(jnp.int32), pivots + go), go | flattens, flat | flattens, count + 1)
+
+
+class Held(NamedTuple):
+    """What the six columns of a basis hold of the target, and which of them hold what they must not."""
+
+    weights: Float[Array, "6 *n"]
+    missing: Float[Array, "6 *n"]
+    """-1 for a ray below zero, the sign of a unit column that is not zero, else 0."""
+    seeking: Bool[Array, "*n"]
+    """Something is missing: that is made smaller first."""
+
+    def objective(self, basis: Basis) -> Array:
+        """Which columns' weights are to become smaller: those that are missing, or else the free variable's."""
+        return jnp.where(self.seeking, self.missing, basis.index == FREE)
+
+
+def _held(program: Program, basis: Basis, flat: Bool[Array, "*n"]) -> Held:
+    bounds = tolerances(program.target.dtype)
+    zero, slack = bounds.weight * program.scale, bounds.slack * program.scale
+    weights = times(basis.inverse, program.target)
+    left_over = (basis.index <= UNIT) & (jnp.abs(weights) > jnp.where(flat, slack, zero))
+    missing = jnp.where((basis.index >= 0) & (weights < -zero), -1, jnp.where(left_over, jnp.sign(weights), 0))
+    return Held(weights, missing, jnp.any(missing != 0, axis=0))
+
+
+def _within_slack(program: Program, basis: Basis, held: Held) -> Bool[Array, "*n"]:
+    """Nothing is missing but unit columns' weights, and those by no more than the slack."""
+    slack = tolerances(program.target.dtype).slack * program.scale
+    is_ray, is_unit = basis.index >= 0, basis.index <= UNIT
+    return ~jnp.any(is_ray & (held.missing != 0) | is_unit & (jnp.abs(held.weights) > slack), axis=0)
+
+
+def _entering(program: Program, normal: Float[Array, "6 *n"], late) -> tuple[Int[Array, "*n"], Bool[Array, "*n"]]:
+    """The ray that lies farthest outside the face with this normal (late: the first that does), and whether one does."""
+    # Stored before it is reduced, or XLA's CPU code computes each product again for every lane of the reduction.
+    gain = jax.lax.optimization_barrier(combination(normal, program.rays))
+    enough = tolerances(gain.dtype).reduced_cost * jnp.max(jnp.abs(normal), axis=0)
+    best = jnp.max(gain, axis=0)
+    return first_of(gain, jnp.where(late, enough, best)), best > enough
+
+
+def _leaving(program: Program, basis: Basis, held: Held, direction, late) -> tuple[Bool[Array, "6 *n"], Bool[Array, "*n"]]:
+    """The column that has to leave as a ray comes in, of those that come to zero first, and whether there is one."""
+    bounds = tolerances(direction.dtype)
+    is_ray, is_unit, missing = basis.index >= 0, basis.index <= UNIT, held.missing != 0
+    size = jnp.abs(direction)
+    falls = jnp.where(missing, direction * held.weights > 0, is_unit | is_ray & (direction > 0)) & (basis.index != FREE)
+    left = jnp.where(missing, jnp.abs(held.weights), jnp.where(is_unit, 0, jnp.maximum(held.weights, 0)))
+    bland = 1 / (2.0 + jnp.abs(basis.index)).astype(size.dtype)
+    preferred = jnp.where(late, bland, size)
+    return leaving_of(falls & (size > bounds.pivot), left, size, bounds.weight * program.scale, preferred)
+
+
+def leaving_of(falls, left, size, spare, preferred) -> tuple[Bool[Array, "6 *n"], Bool[Array, "*n"]]:
+    """The ratio test: which of six columns has to leave, and whether there is one.
+
+    falls: columns that come nearer to zero as the new one comes in. left: how far they are from it. size: how fast they
+    fall. spare: how far below zero a weight may come so that a larger pivot can be taken (Harris). preferred: of columns
+    that rounding cannot tell apart, the one where this is largest.
+    """
+    safe = jnp.where(falls, size, 1)
+    within = jnp.min(jnp.where(falls, (left + spare) / safe, jnp.inf), axis=0)
+    # Compared as quotients on both sides: a product could round down, and the very column that sets the bound be left out.
+    element, leaving = largest(jnp.where(falls & (left / safe <= within), preferred, 0))
+    return leaving, element > 0

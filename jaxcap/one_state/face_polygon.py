@@ -1,0 +1,195 @@
+"""Faces of the cone -> the (alpha, acceleration) polygon of one state: half-planes, static region, lower boundary.
+
+The half-planes are stored, (rows, lanes), before anything is reduced over them: XLA's CPU code for a reduction is fast on
+arrays in memory and ten times slower where it has to compute them on the way.
+"""
+
+import functools
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxcap.contacts.cone import CentroidalCone
+from jaxcap.numerics.guarded import ratio, tolerances
+from jaxcap.one_state.boundary import Boundary
+from jaxcap.one_state.polygon import Survey
+from jaxcap.one_state.walk import Affine, Next, moved, walk
+from jaxcap.one_state.wrench_line import wrench_line
+
+
+class Polygon(NamedTuple):
+    """All (alpha, acceleration) with `on_acceleration * acceleration + on_alpha * alpha <= bound`, row by row, (11).
+
+    alpha is the distance along the line of travel from the start [m], acceleration is along the line [m/s^2].
+    """
+
+    on_acceleration: Float[Array, "m *n"]
+    """[-]; a row < 0 bounds the acceleration from below, > 0 from above, = 0 bounds alpha alone."""
+    on_alpha: Float[Array, "m *n"]
+    """[1/s^2]"""
+    bound: Float[Array, "m *n"]
+    """[m/s^2]"""
+    top: tuple[Float[Array, "*n"], Float[Array, "*n"]]
+    """The largest that the two coefficients can be."""
+    size: Float[Array, "*n"]
+    """Scale of alpha [m]: size of the stance plus the CoM's distance from it."""
+    start: tuple[Float[Array, "*n"], ...] = ()
+    """What the survey knows of the walk: the smallest acceleration at alpha = 0, and where a polygon without one ends."""
+
+    def flipped(self) -> "Polygon":
+        """With the acceleration's sign turned: its lower boundary is minus the upper boundary of this one."""
+        return _stored(self._replace(on_acceleration=-self.on_acceleration, start=()))
+
+    def seen_from(self, start: Float[Array, "*n"], heading) -> "Polygon":
+        """With alpha counted from `start`, onwards (heading +1) or back (-1); so is the acceleration."""
+        return _stored(
+            self._replace(
+                on_acceleration=heading * self.on_acceleration,
+                on_alpha=heading * self.on_alpha,
+                bound=self.bound - self.on_alpha * start,
+                start=(),
+            )
+        )
+
+    def knowing(self, survey: Survey) -> "Polygon":
+        """The same, with what its survey has found: ready to be walked."""
+        return self._replace(start=survey.start)
+
+    def survey(self, near=None) -> Survey:
+        """Static region, and polygon at alpha = 0. near: not used, faces are surveyed as fast from anywhere."""
+        on_acceleration, on_alpha, bound = self[:3]
+        static, values = jax.lax.optimization_barrier((ratio(bound, on_alpha), ratio(bound, on_acceleration)))
+        # Rows without a coefficient hold or they do not: those that do not leave nothing.
+        without = lambda coefficient: jnp.where((coefficient == 0) & (bound < 0), jnp.inf, -jnp.inf)
+        s_min = jnp.max(jnp.where(on_alpha < 0, static, without(on_alpha)), axis=0)
+        # The end ahead, by what makes it: a row that bounds the acceleration from above, or another.
+        above, other = (on_alpha > 0) & (on_acceleration > 0), (on_alpha > 0) & (on_acceleration <= 0)
+        s_above, s_other = (jnp.min(jnp.where(rows, static, jnp.inf), axis=0) for rows in (above, other))
+        s_max = jnp.minimum(s_above, s_other)
+        lowest = jnp.max(jnp.where(on_acceleration < 0, values, without(on_acceleration)), axis=0)
+        highest = jnp.min(jnp.where(on_acceleration > 0, values, jnp.inf), axis=0)
+        return Survey(
+            s_min=s_min,
+            s_max=s_max,
+            standing=(s_min <= s_max) & (s_min < jnp.inf),
+            feasible=(lowest <= highest) & (lowest < jnp.inf),
+            pulled_back=highest < 0,
+            known=jnp.ones(s_min.shape, bool),
+            hangs=(s_above <= s_max) & (s_max < jnp.inf),
+            start=(lowest, s_other),   # without a lowest, no other rows are left but walls
+        )
+
+    def boundary(self, limit: Float[Array, "*n"], rising: bool = False, most: int | None = None, enough=None) -> Boundary:
+        """The lower boundary, as `Producer` has it."""
+        return _boundary(self, *jax.lax.stop_gradient((limit.astype(self.bound.dtype), enough)), rising, most)
+
+
+def polygon(
+    cone: CentroidalCone, com: Float[Array, "3 *n"], along: Float[Array, "3 *n"], gravity: Float[Array, "3"]
+) -> Polygon:
+    """The polygon of a CoM that moves on the line com + alpha * along, Section III-A.
+
+    com: [m]. along: unit vectors (zero: every row bounds nothing, or forbids everything). gravity: [m/s^2].
+    """
+    bounds = tolerances(com.dtype)
+    faces = jnp.asarray(cone.padded(1).faces, com.dtype)   # a cone that is all of space has no face
+    line = wrench_line(cone.origin, cone.length, com, along, gravity)
+    wrenches = jnp.stack([line.per_acceleration, line.per_alpha, line.at_rest], axis=1)
+    rows = jnp.tensordot(faces, wrenches, axes=1, precision=jax.lax.Precision.HIGHEST)
+    top = line.reach, line.weight / line.length
+    return _stored(
+        Polygon(
+            on_acceleration=_without_noise(rows[:, 0], bounds.zero_coefficient * top[0]),
+            on_alpha=_without_noise(rows[:, 1], bounds.zero_coefficient * top[1]),
+            bound=rows[:, 2] + bounds.slack * line.weight * line.reach,
+            top=top,
+            size=line.length * line.reach,
+        )
+    )
+
+
+def _without_noise(values, noise):
+    return jnp.where(jnp.abs(values) > noise, values, 0)
+
+
+def _stored(rows: Polygon) -> Polygon:
+    """The same, in memory."""
+    return jax.lax.optimization_barrier(rows)
+
+
+@functools.partial(jax.custom_jvp, nondiff_argnums=(3, 4))
+def _boundary(rows: Polygon, limit: Float[Array, "*n"], enough, rising: bool, most: int | None) -> Boundary:
+    lower = rows.on_acceleration < 0
+    # Rows that do not bound the acceleration from below get an infinite slope: a walk that meets them is at its end.
+    slopes = jnp.where(lower, -ratio(rows.on_alpha, rows.on_acceleration), jnp.inf)
+    values = jnp.where(lower, ratio(rows.bound, rows.on_acceleration), -jnp.inf)
+    slopes, values = jax.lax.optimization_barrier((slopes, values))
+    value, wall = rows.start if rows.start else (jnp.max(values, axis=0), _wall(rows))
+    slope = jnp.max(jnp.where(values == value, slopes, -jnp.inf), axis=0)
+    follow = lambda alpha, line, _: _follow(rows, slopes, alpha, line)
+    return walk(follow, Affine(value, slope), (), value == -jnp.inf, wall, limit, rising, most, enough)[0]
+
+
+def _wall(rows: Polygon):
+    """Where the polygon ends, as far as rows on alpha alone say."""
+    walls = (rows.on_acceleration == 0) & (rows.on_alpha > 0)
+    return jnp.min(jnp.where(walls, ratio(rows.bound, rows.on_alpha), jnp.inf), axis=0)
+
+
+def _crossings(rows: Polygon, intercept, slope):
+    """Where each row ends a line (m, *n): on it, a row allows alpha <= (bound - on_acceleration intercept) / rate.
+
+    Infinity where it does not: where the rate is zero, or no more than rounding error.
+    """
+    rate = rows.on_acceleration * slope + rows.on_alpha
+    crosses = rate > tolerances(slope.dtype).parallel * (rows.top[1] + rows.top[0] * jnp.abs(slope))
+    return jnp.where(crosses, (rows.bound - rows.on_acceleration * intercept) / jnp.where(crosses, rate, 1), jnp.inf)
+
+
+def _follow(rows: Polygon, slopes, alpha, line: Affine) -> Next:
+    """The row that ends a line, and the line of that row. A pivot of the dual simplex."""
+    at = jax.lax.optimization_barrier(_crossings(rows, *line))
+    end = jnp.maximum(alpha, jnp.min(at, axis=0))
+    slope = jnp.max(jnp.where(at <= end, slopes, -jnp.inf), axis=0)   # of several rows, the steepest
+    return Next(end, slope == jnp.inf, Affine(line.intercept + (line.slope - slope) * end, slope), ())
+
+
+@_boundary.defjvp
+def _boundary_jvp(rising, most, primals, tangents):
+    """The search for the active faces is not differentiated; their lines are."""
+    (rows, limit, enough), (change, *_) = primals, tangents
+    found = _boundary(rows, limit, enough, rising, most)
+    pieces = found.pieces
+    lower = rows.on_acceleration < 0
+    row_slopes, row_values = -ratio(rows.on_alpha, rows.on_acceleration), ratio(rows.bound, rows.on_acceleration)
+
+    def active_row(line):
+        """Index of the row with this slope and intercept."""
+        difference = jnp.abs(row_slopes - line[0]) * rows.size + jnp.abs(row_values - line[1])
+        return jnp.argmin(jnp.where(lower, difference, jnp.inf), axis=0)
+
+    # one piece after the other: all at once would be a large array
+    active = jax.lax.map(active_row, (pieces.slope, pieces.intercept))
+    at_active = lambda values: jnp.take_along_axis(values, active, axis=0)
+    real = pieces.right > pieces.left
+    per_row = lambda amount: jnp.where(real, ratio(amount, at_active(rows.on_acceleration)), 0)
+    lines = Affine(
+        intercept=per_row(at_active(change.bound) - pieces.intercept * at_active(change.on_acceleration)),
+        slope=per_row(-at_active(change.on_alpha) - pieces.slope * at_active(change.on_acceleration)),
+    )
+
+    # The wall: the last line's crossing with the row that ends the polygon.
+    final = jnp.isinf(pieces.right)
+    end = jnp.where(jnp.isfinite(found.end), found.end, 0)
+    pick = lambda values: jnp.sum(jnp.where(final, values, 0), axis=0)
+    intercept, slope = pick(pieces.intercept), pick(pieces.slope)
+    at = jnp.where(lower, jnp.inf, _crossings(rows, intercept, slope))
+    row = jnp.argmin(jnp.abs(at - end), axis=0)[None]
+    at_wall = lambda values: jnp.take_along_axis(values, row, axis=0)[0]
+    acceleration, rise = intercept + slope * end, pick(lines.intercept + lines.slope * end)
+    past = at_wall(change.bound) - at_wall(change.on_acceleration) * acceleration - at_wall(change.on_alpha) * end
+    past -= at_wall(rows.on_acceleration) * rise
+    wall = ratio(past, at_wall(rows.on_acceleration) * slope + at_wall(rows.on_alpha))
+    return found, moved(found, lines, wall)
