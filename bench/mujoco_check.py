@@ -10,7 +10,7 @@ controller's own, as torque-controlled robots do it, by at most FEEDBACK of the 
 that stopped it, a fall under each of those that ran, until one stops. Where the controller stops, or its QP has no solution,
 its last torques and the springs to its last posture carry on: whether the robot then stands or falls is for MuJoCo to say.
 
-    stopped     |v| stays below --slow for the dwell
+    stopped     |v| stays below --slow for DWELL
     fallen      a contact is farther than 0.1 m from its place
     undecided   neither within the time limit
 
@@ -54,6 +54,8 @@ STIFFNESS, DAMPING = 40000.0, 400.0
 that this is stable at the controller's step, which the inertia at a fixed base is not."""
 FEEDBACK = 0.5
 """What springs and dampers may add, in torque limits [-]: torques at a limit would leave them no say."""
+DWELL = 0.2
+"""For how long MuJoCo's robot has to be slow [s]."""
 AGAIN = 10
 """Steps after which the inertia is computed again."""
 
@@ -184,14 +186,14 @@ def run(robot: Robot, sample: Sample, controller: str, slow: float) -> Ending:
     trace = Simulator(robot, CONFIGURATIONS[controller]).run(sample, trace=True).trace
     dt, engine, moving = DEFAULT.dt, Engine(robot, sample, DEFAULT.dt), 0
     last = len(trace.t) - 1  # the state that ends the run has no command
-    for step in range(round((DEFAULT.time_limit + DEFAULT.dwell) / dt) + 1):
+    for step in range(round((DEFAULT.time_limit + DWELL) / dt) + 1):
         q, v = engine.state()
         if step % AGAIN == 0:
             moved, inertia = engine.moved(q), free_inertia(robot, q)
         speed = float(np.linalg.norm(v))
         moving = step if not speed < slow else moving
         outcome = "fallen" if moved > DEFAULT.slip or not np.isfinite(speed) else None
-        if (step - moving) * dt >= DEFAULT.dwell:
+        if (step - moving) * dt >= DWELL:
             outcome = "stopped"
         if outcome:
             return Ending(outcome, step * dt, last * dt, moved, speed)
