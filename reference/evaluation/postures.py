@@ -102,16 +102,3 @@ def rescued(samples: dict[str, Samples], folder: Path) -> str:
             rows.append((file.name, postures, *cells))
     header = ("scenario", "postures", "falls predicted to stop", "falls predicted to fall")
     return table((*header, "undecided predicted to stop", "undecided predicted to fall"), rows)
-
-
-def dwell(samples: dict[str, Samples], folder: Path) -> str:
-    """Labels that the dwell changes: a robot that was slow once, for less than the dwell, would have counted as stopped."""
-    rows = []
-    for file in (file for file in _files(samples) if file.dwell > 0):
-        for truth, controllers in ((BEST, file.controllers[:3]), (FOUR, file.controllers)):
-            if truth in file.outcomes:
-                dipped = np.any([file.runs[name].dips > 0 for name in controllers], axis=0)
-                changed = {word: int((dipped & (file.outcomes[truth] == word)).sum()) for word in ("fallen", "undecided")}
-                total = percent(share(sum(changed.values()), len(file.index)))
-                rows.append((file.name, truth, f"{file.dwell:g}", len(file.index), *changed.values(), total))
-    return table(("scenario", "outcome", "dwell s", "samples", "stops that fall", "stops undecided", "changed %"), rows)
