@@ -4,7 +4,7 @@
 
 The first N samples of seed 2018 of the scenarios `two` and `three`, best of three controllers. `base` (DAQP, 1 ms, contacts
 stabilised) is read from the campaign's file in --base where that has them; the others are computed by the campaign itself
-into DIR, so that the same command resumes:
+into DIR, so that the same command resumes (bench/data/labels has 500 of each):
 
     proxqp     ProxQP is asked first, DAQP where it fails
     half       time step of 0.5 ms
@@ -79,7 +79,7 @@ def rows(scenario: str, variant: str, options: argparse.Namespace) -> list[Row]:
             return found[: options.samples]
     if not (path.is_file() and len(read(path)[2]) >= options.samples):
         arguments = [scenario, "--samples", str(options.samples), "--seed", str(SEED), "--jobs", str(options.jobs)]
-        status = campaign.main([*arguments, "-o", str(path), *VARIANTS.get(variant, [])])
+        status = campaign.main([*arguments, "-o", str(path), "--controllers", *CONTROLLERS, *VARIANTS.get(variant, [])])
         if status != 0:
             sys.exit(status)
     return read(path)[2][: options.samples]

@@ -30,5 +30,11 @@ for samples in 1000 10000 40000; do
             run "${scenario}_ablations" "$scenario" 2000 --all --controllers $limits
             run "${scenario}_zero_momentum" "$scenario" 2000 --all --zero-momentum --controllers standard constant_momentum
         done
+        for scenario in three four; do
+            run "${scenario}_strong_arms" "$scenario" 5000 --robot talos_strong_arms --states 1000
+        done
+        for scenario in two_coplanar two; do
+            run "${scenario}_g1" "$scenario" 5000 --robot g1 --states 1000
+        done
     fi
 done

@@ -16,9 +16,10 @@ def extra(name: str, module: str) -> Iterator[None]:
     try:
         yield
     except ModuleNotFoundError as missing:
-        if (missing.name or "").split(".")[0] == "reference":
+        package = (missing.name or "").split(".")[0]
+        if package == "reference":
             raise
-        told = f'{missing.name} is not installed; it comes with the extra {name}: pip install -e ".[{name}]"'
+        told = f'{package} is not installed; it comes with the extra {name}: pip install -e ".[{name}]"'
         if module == "__main__":
             sys.exit(told)
         raise ModuleNotFoundError(told, name=missing.name) from missing

@@ -78,7 +78,7 @@ def test_samples_hold_the_rows(data):
     assert samples.outcomes[BEST].tolist() == [row["outcome"] for row in rows] and samples.scenario == "three"
     assert samples.outcomes[FOUR].tolist() == [row["best_of_four"] for row in rows]
     assert list(samples.outcomes) == [BEST, FOUR, "standard"] and list(samples.runs) == list(BEST_OF_FOUR)
-    for name in ("q", "v", "com", "angular_momentum", "effort"):
+    for name in ("q", "v", "com", "com_velocity", "angular_momentum", "effort"):
         np.testing.assert_array_equal(getattr(samples, name), [row[name] for row in rows])
     ran = ["fast_outcome" in row for row in rows]
     assert (samples.runs["fast"].outcomes != "").tolist() == ran

@@ -31,7 +31,7 @@ def samples_of(scenario, indices, outcomes):
         *(column(lambda contact, name=name: getattr(contact, name)) for name in ("half_length", "half_width", "friction")),
     )
     outcomes = np.array(outcomes)
-    runs = Runs(outcomes, outcomes, np.zeros(len(drawn)), np.zeros(len(drawn)))
+    runs = Runs(outcomes, outcomes, np.zeros(len(drawn)))
     q, v = (np.array([getattr(sample, name) for sample in drawn]) for name in ("q", "v"))
     names = ("standard", "straight", "fast")
     states = (np.array(indices), q, v, com, com_velocity, angular)

@@ -144,5 +144,5 @@ def test_mistakes_are_named(tmp_path, old, new, message):
 
 
 def test_unknown_robots_are_named():
-    with pytest.raises(FileNotFoundError, match=r"robot 'atlas': no such file \(by name: g1, talos\)"):
+    with pytest.raises(FileNotFoundError, match=r"robot 'atlas': no such file \(by name: g1, talos, talos_strong_arms\)"):
         load("atlas")

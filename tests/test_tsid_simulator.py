@@ -15,7 +15,8 @@ COUNT = 2
 RESCUED = 33
 """A sample of `three` that only "brake" stops."""
 DWELL = 200
-"""Steps for which a stop lasts."""
+"""Steps for which a stop lasts in `runs`: those of LASTING."""
+LASTING = Options(dwell=0.2)
 
 
 @pytest.fixture(scope="module")
@@ -30,7 +31,8 @@ def samples(robot):
 
 @pytest.fixture(scope="module")
 def runs(robot, samples):
-    simulator = Simulator(robot, CONFIGURATIONS["standard"])
+    """Longer than those without a dwell, which are their beginnings."""
+    simulator = Simulator(robot, CONFIGURATIONS["standard"], LASTING)
     return [simulator.run(sample, trace=True) for sample in samples]
 
 
@@ -132,7 +134,7 @@ def test_com_velocity_is_the_com_s(runs):
 
 def test_a_run_depends_on_its_sample_alone(robot, samples, runs):
     """The same bits, alone, in another order, with and without a trace."""
-    simulator = Simulator(robot, CONFIGURATIONS["standard"])
+    simulator = Simulator(robot, CONFIGURATIONS["standard"], LASTING)
     for i in (5, 2, 0):
         again = simulator.run(samples[i])
         assert again.trace is None
@@ -143,18 +145,19 @@ def test_a_run_depends_on_its_sample_alone(robot, samples, runs):
 def test_without_a_push_the_robot_has_stopped(robot, samples):
     still = samples[0]._replace(v=np.zeros(robot.model.nv))
     run = Simulator(robot, CONFIGURATIONS["standard"]).run(still)
-    assert (run.outcome, run.reason, run.steps, run.time) == (Outcome.STOPPED, "stopped", DWELL, 0.2)
-    run = Simulator(robot, CONFIGURATIONS["standard"], Options(dwell=0.0)).run(still)
     assert (run.outcome, run.reason, run.steps, run.time) == (Outcome.STOPPED, "stopped", 0, 0.0)
+    run = Simulator(robot, CONFIGURATIONS["standard"], LASTING).run(still)
+    assert (run.outcome, run.reason, run.steps, run.time) == (Outcome.STOPPED, "stopped", DWELL, 0.2)
 
 
 def test_a_dwell_changes_nothing_before_the_first_dip(robot, samples, runs):
-    """The run without a dwell is the beginning of the run with one, and ends where that is slow first."""
-    simulator = Simulator(robot, CONFIGURATIONS["standard"], Options(dwell=0.0))
+    """The run without a dwell, the default, is the beginning of the run with one, and ends where that is slow first."""
+    simulator = Simulator(robot, CONFIGURATIONS["standard"])
     for sample, run in zip(samples, runs, strict=True):
         slow = np.linalg.norm(run.trace.v, axis=1) < 0.01
         first = int(slow.argmax()) if slow.any() else run.steps
         short = simulator.run(sample, trace=True)
+        assert "dips" not in short.counters
         assert short.steps == first and (short.outcome == Outcome.STOPPED) == slow.any()
         assert (run.outcome == Outcome.STOPPED or run.counters.get("dips", 0) > 0) == slow.any()
         np.testing.assert_array_equal(short.trace.v, run.trace.v[: first + 1])

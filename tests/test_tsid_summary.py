@@ -39,6 +39,22 @@ def test_summary_counts_every_run_once(best):
     assert lines[-1] == "two.parquet: sample 3: ArithmeticError: none"
 
 
+def test_a_dip_changes_the_label_of_what_did_not_stop(tmp_path):
+    """The row of a failure has no label, what stopped keeps its own, and a dip under "brake" is one of the best of four."""
+    path = tmp_path / "two.parquet"
+    options = ["two", "--samples", "5", "-o", str(path), "--seed", "3", "--set", "dwell=0.2"]
+    settings = campaign.settings_of(campaign._parse(options))
+    found = [("fallen", "fallen", {}), ("fallen", "stopped", {"fast_dips": 1}), ("stopped", "stopped", {"standard_dips": 1})]
+    found += [("undecided", "undecided", dips) for dips in ({"brake_dips": 2}, {"standard_dips": 1, "fast_dips": 1})]
+    rows = [{"outcome": three, "best_of_four": four} | dips for three, four, dips in found] + [{"error": "none"}]
+    dwell = "stops changed by the dwell of 0.2 s"
+    assert summary._changed(settings._asdict(), rows) == [
+        f"outcome: 2 {dwell} (1 fallen, 1 undecided)",
+        f"best_of_four: 2 {dwell} (2 undecided)",
+    ]
+    assert summary._changed(settings._asdict() | {"options": {"dwell": 0.0}}, rows) == []
+
+
 def test_summary_of_a_folder(best, capsys, tmp_path):
     assert summary.main([str(best[0].parent)]) == 0
     assert "1 files" in capsys.readouterr().out

@@ -70,7 +70,7 @@ SECTIONS = (
     Section("Beside the paper's numbers", (tables.beside_the_paper, findings.differences), ()),
     Section(
         "Postures that can be held, and a fourth controller",
-        (postures.beside_the_paper, postures.order, postures.rescued, postures.dwell),
+        (postures.beside_the_paper, postures.order, postures.rescued),
         ("figure_4_held",),
     ),
     Section("Five margins", (tables.five_margins, findings.order, tables.among_predicted_stops), ("figure_4",)),

@@ -78,7 +78,9 @@ def order(samples: dict[str, Samples], folder: Path) -> str:
             values = np.stack([margins[margin.column][used] for margin in MARGINS])
             shown = (f"{100 * value:.1f}" if np.isfinite(value) else "-" for value in areas(values, fell).values)
             pairs = (difference(values[one], values[other], fell) for one, other in ((0, 2), (2, 3)))
-            compare = (f"{percent(pair.interval, sign=True)}, p = {pair.p:.2g}" for pair in pairs)
+            compare = (
+                percent(pair.interval, sign=True) + ("" if np.isnan(pair.p) else f", p = {pair.p:.2g}") for pair in pairs
+            )
             rows.append((file.name, part.postures, part.truth, *shown, *compare))
     header = ("scenario", "postures", "outcome", *(margin.label for margin in MARGINS))
     return table((*header, "exact less support polygon", "support polygon less hull"), rows)
@@ -100,16 +102,3 @@ def rescued(samples: dict[str, Samples], folder: Path) -> str:
             rows.append((file.name, postures, *cells))
     header = ("scenario", "postures", "falls predicted to stop", "falls predicted to fall")
     return table((*header, "undecided predicted to stop", "undecided predicted to fall"), rows)
-
-
-def dwell(samples: dict[str, Samples], folder: Path) -> str:
-    """Labels that the dwell changes: a robot that was slow once, for less than the dwell, would have counted as stopped."""
-    rows = []
-    for file in (file for file in _files(samples) if file.dwell > 0):
-        for truth, controllers in ((BEST, file.controllers[:3]), (FOUR, file.controllers)):
-            if truth in file.outcomes:
-                dipped = np.any([file.runs[name].dips > 0 for name in controllers], axis=0)
-                changed = {word: int((dipped & (file.outcomes[truth] == word)).sum()) for word in ("fallen", "undecided")}
-                total = percent(share(sum(changed.values()), len(file.index)))
-                rows.append((file.name, truth, f"{file.dwell:g}", len(file.index), *changed.values(), total))
-    return table(("scenario", "outcome", "dwell s", "samples", "stops that fall", "stops undecided", "changed %"), rows)

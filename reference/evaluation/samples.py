@@ -64,8 +64,6 @@ class Runs(NamedTuple):
     """`stopped`; `infeasible` or `slip`; `time` or `unsolved`."""
     times: Float[np.ndarray, " n"]
     """Of the end [s]."""
-    dips: Float[np.ndarray, " n"]
-    """How often the robot was slow for less than the dwell; without one it had stopped at the first of them."""
 
 
 class Samples(NamedTuple):
@@ -80,8 +78,6 @@ class Samples(NamedTuple):
     seed: int
     zero_momentum: bool
     """Whether pushes have no angular momentum."""
-    dwell: float
-    """How long a stop has to last [s]."""
     controllers: tuple[str, ...]
     """In the order in which they ran."""
     index: Int[np.ndarray, " n"]
@@ -128,7 +124,6 @@ def read(path: Path, first: int | None = None) -> Samples:
         robot=settings["robot"],
         seed=settings["seed"],
         zero_momentum=settings["zero_momentum"],
-        dwell=settings["options"]["dwell"],
         controllers=tuple(settings["controllers"]),
         index=table["index"].to_numpy(),
         q=vector("q"),
@@ -174,11 +169,8 @@ def _contacts(column: pa.ListArray, settings: dict[str, Any]) -> Contacts:
 
 
 def _runs(table: pa.Table, controller: str, dt: float) -> Runs:
-    number = lambda name: table[f"{controller}_{name}"].cast(pa.float64()).to_numpy()
     words = (_words(table[f"{controller}_{name}"]) for name in ("outcome", "reason"))
-    times = dt * number("steps")
-    counted = f"{controller}_dips" in table.column_names  # what never occurred has no column
-    return Runs(*words, times, number("dips") if counted else 0.0 * times)
+    return Runs(*words, dt * table[f"{controller}_steps"].cast(pa.float64()).to_numpy())
 
 
 def command(name: str) -> str:

@@ -10,6 +10,9 @@ A line is a file, or one controller of it:
     seconds              median time until the stop and until the fall
     refused, again, ...  how often solvers needed help, as `CertifiedSolver` counts it, over all runs
     dips                 how often a robot was slow for less than the dwell
+
+Of a file with a dwell (`campaign --set dwell=0.2`) it says how many labels that changed: a robot that some controller made
+slow and none stopped would have counted as stopped.
 """
 
 from __future__ import annotations
@@ -21,6 +24,7 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
+from reference.tsid.labels import RESCUE
 from reference.tsid.table import Unreadable, read
 
 COUNTERS = ("refused", "again", "badly", "certified", "overturned", "other", "unsolved", "dips")
@@ -44,6 +48,7 @@ def lines(path: Path) -> list[str]:
         for column, words in (("outcome", "best of three"), ("best_of_four", "best of four")):
             outcomes = sorted(Counter(row[column] for row in rows if column in row).items())
             about += [f"{words}: " + ", ".join(f"{number} {name}" for name, number in outcomes)] * bool(outcomes)
+    about += _changed(settings, rows)
     held = [row["effort"] <= 1 for row in rows if "effort" in row]
     about.append(f"{sum(held)} of {len(held)} can be held")
     if len(versions) > 1:
@@ -53,6 +58,19 @@ def lines(path: Path) -> list[str]:
         runs = [row for row in rows if f"{controller}_outcome" in row]
         found.append(_line(path.stem, controller, runs, settings["options"].get("dt", 1.0)))
     return found + [f"{path.name}: sample {row['index']}: {row['error']}" for row in errors[:5]]
+
+
+def _changed(settings: dict[str, Any], rows: list[dict[str, Any]]) -> list[str]:
+    """What the dwell changed, by the best of three and of four; nothing where there is none."""
+    dwell, changed = settings["options"].get("dwell", 0.0), []
+    rescues = {"outcome": {RESCUE}, "best_of_four": set()}
+    for column in (column for column in rescues if dwell > 0 and any(column in row for row in rows)):
+        names = [name for name in settings["controllers"] if name not in rescues[column]]
+        dipped = [row for row in rows if any(row.get(f"{name}_dips", 0) > 0 for name in names)]
+        words = Counter(row[column] for row in dipped if row[column] != "stopped")
+        told = ", ".join(f"{number} {word}" for word, number in sorted(words.items()))
+        changed.append(f"{column}: {words.total()} stops changed by the dwell of {dwell:g} s" + f" ({told})" * bool(told))
+    return changed
 
 
 def _line(name: str, controller: str, runs: list[dict[str, Any]], dt: float) -> str:

@@ -6,6 +6,7 @@ angular momentum about the CoM changes by F_angular - c x F_linear.
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numba
@@ -14,7 +15,7 @@ import numpy as np
 POSTURE_STIFFNESS = 30.0
 """kp of the posture task [1/s^2]."""
 
-POSTURE_DAMPING = 2.0 * np.sqrt(POSTURE_STIFFNESS)
+POSTURE_DAMPING = 2.0 * math.sqrt(POSTURE_STIFFNESS)
 """kd of the posture task [1/s]."""
 
 COM_WEIGHT = 1e3
