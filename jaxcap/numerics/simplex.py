@@ -12,11 +12,12 @@ their weights must vanish, but for rounding. If all this does not end it in time
 """
 
 from enum import IntEnum
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import DTypeLike
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxcap.numerics.guarded import tolerances
@@ -63,7 +64,7 @@ class Program(NamedTuple):
 class Basis(NamedTuple):
     """Six columns of a program, one for each row."""
 
-    index: Int[Array, "6 *n"]
+    chosen: Int[Array, "6 *n"]
     """Number of a ray, FREE, or UNIT, UNIT - 1, ..."""
     inverse: Float[Array, "6 6 *n"]
     """Of the matrix of these columns: times a vector, their weights in it."""
@@ -77,7 +78,7 @@ class Solution(NamedTuple):
     pivots: Int[Array, "*n"]
 
 
-def identity(shape: tuple, dtype) -> Basis:
+def identity(shape: tuple[int, ...], dtype: DTypeLike) -> Basis:
     """The basis of unit columns."""
     over_lanes = lambda array: jnp.broadcast_to(array.reshape(*array.shape, *[1] * len(shape)), (*array.shape, *shape))
     return Basis(over_lanes(UNIT - jnp.arange(6, dtype=jnp.int32)), over_lanes(jnp.eye(6, dtype=dtype)))
@@ -85,7 +86,7 @@ def identity(shape: tuple, dtype) -> Basis:
 
 def times(matrix: Float[Array, "6 6 *n"], vector: Float[Array, "6 *n"]) -> Float[Array, "6 *n"]:
     """Product, lane by lane. The sum is written out: XLA's reductions over computed products are slow on a CPU."""
-    return sum(matrix[:, i] * vector[i] for i in range(6))
+    return cast(Array, sum(matrix[:, i] * vector[i] for i in range(6)))
 
 
 def mixture(rays: Float[Array, "6 r *#n"]) -> Float[Array, "6 *#n"]:
@@ -100,7 +101,7 @@ def mixture(rays: Float[Array, "6 r *#n"]) -> Float[Array, "6 *#n"]:
 
 def combination(vector: Float[Array, "6 *n"], rows: Float[Array, "6 k *#n"]) -> Float[Array, "k *n"]:
     """Sum of rows with these factors: a row of the simplex tableau, of all rays or of a basis."""
-    return sum(rows[i] * vector[i] for i in range(6))
+    return cast(Array, sum(rows[i] * vector[i] for i in range(6)))
 
 
 def ray(rays: Float[Array, "6 r *#n"], index: Int[Array, "*n"]) -> Float[Array, "6 *n"]:
@@ -116,7 +117,9 @@ def columns(program: Program, index: Int[Array, "6 *n"]) -> Float[Array, "6 6 *n
 
 
 @jax.custom_jvp
-def weights(inverse: Float[Array, "6 6 *n"], matrix: Float[Array, "6 6 *n"], target: Float[Array, "6 *n"]):
+def weights(
+    inverse: Float[Array, "6 6 *n"], matrix: Float[Array, "6 6 *n"], target: Float[Array, "6 *n"]
+) -> Float[Array, "6 *n"]:
     """The weights of a basis with this matrix in the target; differentiable in matrix and target, not in the inverse."""
     return times(inverse, target)
 
@@ -128,7 +131,13 @@ def _weights_jvp(primals, tangents):
     return found, times(inverse, moved - times(matrix, found))
 
 
-def pivot(basis: Basis, leaving: Bool[Array, "6 *n"], entering: Int[Array, "*n"], direction, go) -> Basis:
+def pivot(
+    basis: Basis,
+    leaving: Bool[Array, "6 *n"],
+    entering: Int[Array, "*n"],
+    direction: Float[Array, "6 *n"],
+    go: Bool[Array, "*n"],
+) -> Basis:
     """The basis with one column replaced, in lanes that `go`.
 
     leaving: one row of six. direction: weights of the entering column in the basis.
@@ -138,7 +147,7 @@ def pivot(basis: Basis, leaving: Bool[Array, "6 *n"], entering: Int[Array, "*n"]
     row = row / jnp.where(go, element, 1)
     change = jnp.where(go, jnp.where(leaving, direction - 1, direction), 0)
     inverse = basis.inverse - change[:, None] * row[None]
-    return Basis(jnp.where(leaving & go, entering, basis.index).astype(jnp.int32), inverse)
+    return Basis(jnp.where(leaving & go, entering, basis.chosen).astype(jnp.int32), inverse)
 
 
 def first_of(values: Float[Array, "k *n"], least: Float[Array, "*n"]) -> Int[Array, "*n"]:
@@ -156,7 +165,7 @@ def largest(values: Float[Array, "6 *n"]) -> tuple[Float[Array, "*n"], Bool[Arra
 def freed(program: Program, basis: Basis) -> Basis:
     """The basis with the free variable of this program, in place of another program's or of the best unit column."""
     bound = tolerances(program.target.dtype).pivot
-    stale = basis.index == FREE
+    stale = basis.chosen == FREE
     row = combination(stale.astype(program.target.dtype), basis.inverse)
     size, unit = largest(jnp.abs(row))
     axis = jnp.argmax(unit, axis=0).astype(jnp.int32)
@@ -165,7 +174,7 @@ def freed(program: Program, basis: Basis) -> Basis:
     basis = pivot(basis, stale, UNIT - axis, unit_direction, out & (size > 0))
     direction = times(basis.inverse, program.free)
     # A unit column is as good as lost; among the others, the largest pivot.
-    size, leaving = largest(jnp.where(basis.index <= UNIT, LOST_UNIT, 1) * jnp.abs(direction))
+    size, leaving = largest(jnp.where(basis.chosen <= UNIT, LOST_UNIT, 1) * jnp.abs(direction))
     found = size > bound * jnp.max(jnp.abs(program.free), axis=0)
     return pivot(basis, leaving, jnp.full(size.shape, FREE, jnp.int32), direction, found)
 
@@ -177,7 +186,7 @@ def factorised(program: Program, index: Int[Array, "6 *n"]) -> Basis:
     matrix = columns(program, index)
     for k in range(6):
         direction = times(basis.inverse, matrix[:, k])
-        size, leaving = largest(jnp.where(basis.index <= UNIT, jnp.abs(direction), 0))
+        size, leaving = largest(jnp.where(basis.chosen <= UNIT, jnp.abs(direction), 0))
         basis = pivot(basis, leaving, index[k], direction, (size > bound) & (index[k] > UNIT))
     return basis
 
@@ -192,7 +201,7 @@ def renewed(program: Program, basis: Basis) -> Basis:
 
     Where the free column does not fit, or the rays have changed so much that the inverse is none, it begins anew.
     """
-    leaving, direction = basis.index == FREE, times(basis.inverse, program.free)
+    leaving, direction = basis.chosen == FREE, times(basis.inverse, program.free)
     own = jnp.abs(jnp.sum(jnp.where(leaving, direction, 0), axis=0))
     fits = own > LEAST_FIT * jnp.max(jnp.abs(direction), axis=0)
     better, error = _newton(program, pivot(basis, leaving, jnp.full(fits.shape, FREE, jnp.int32), direction, fits))
@@ -207,7 +216,7 @@ def renewed(program: Program, basis: Basis) -> Basis:
 
 def _newton(program: Program, basis: Basis) -> tuple[Basis, Float[Array, "*n"]]:
     """The basis after a Newton step for its inverse, and the largest error before."""
-    matrix, inverse = columns(program, basis.index), basis.inverse
+    matrix, inverse = columns(program, basis.chosen), basis.inverse
     product = sum(matrix[:, i, None] * inverse[None, i] for i in range(6))
     error = jnp.eye(6, dtype=inverse.dtype).reshape(6, 6, *[1] * (inverse.ndim - 2)) - product
     better = inverse + sum(inverse[:, i, None] * error[None, i] for i in range(6))
@@ -221,7 +230,7 @@ class SimplexState(NamedTuple):
     running: Bool[Array, "*n"]
     flat: Bool[Array, "*n"]
     """No ray takes over from the unit columns that are left: their weights may be as large as the slack."""
-    count: Int[Array, ""]
+    steps: Int[Array, ""]
 
 
 def solve(program: Program, basis: Basis, active: Bool[Array, "*n"]) -> Solution:
@@ -233,7 +242,7 @@ def solve(program: Program, basis: Basis, active: Bool[Array, "*n"]) -> Solution
     outcome = jnp.full(active.shape, Outcome.UNDECIDED, jnp.int32)
     start = SimplexState(Solution(basis, outcome, jnp.zeros(active.shape, jnp.int32)), active, ~active, jnp.int32(0))
     last = jax.lax.while_loop(
-        lambda state: jnp.any(state.running) & (state.count < MAX_PIVOTS), lambda state: _step(program, state), start
+        lambda state: jnp.any(state.running) & (state.steps < MAX_PIVOTS), lambda state: _step(program, state), start
     )
     return last.solution
 
@@ -272,26 +281,28 @@ class Held(NamedTuple):
 
     def objective(self, basis: Basis) -> Array:
         """Which columns' weights are to become smaller: those that are missing, or else the free variable's."""
-        return jnp.where(self.seeking, self.missing, basis.index == FREE)
+        return jnp.where(self.seeking, self.missing, basis.chosen == FREE)
 
 
 def _held(program: Program, basis: Basis, flat: Bool[Array, "*n"]) -> Held:
     bounds = tolerances(program.target.dtype)
     zero, slack = bounds.weight * program.scale, bounds.slack * program.scale
     weights = times(basis.inverse, program.target)
-    left_over = (basis.index <= UNIT) & (jnp.abs(weights) > jnp.where(flat, slack, zero))
-    missing = jnp.where((basis.index >= 0) & (weights < -zero), -1, jnp.where(left_over, jnp.sign(weights), 0))
+    left_over = (basis.chosen <= UNIT) & (jnp.abs(weights) > jnp.where(flat, slack, zero))
+    missing = jnp.where((basis.chosen >= 0) & (weights < -zero), -1, jnp.where(left_over, jnp.sign(weights), 0))
     return Held(weights, missing, jnp.any(missing != 0, axis=0))
 
 
 def _within_slack(program: Program, basis: Basis, held: Held) -> Bool[Array, "*n"]:
     """Nothing is missing but unit columns' weights, and those by no more than the slack."""
     slack = tolerances(program.target.dtype).slack * program.scale
-    is_ray, is_unit = basis.index >= 0, basis.index <= UNIT
+    is_ray, is_unit = basis.chosen >= 0, basis.chosen <= UNIT
     return ~jnp.any(is_ray & (held.missing != 0) | is_unit & (jnp.abs(held.weights) > slack), axis=0)
 
 
-def _entering(program: Program, normal: Float[Array, "6 *n"], late) -> tuple[Int[Array, "*n"], Bool[Array, "*n"]]:
+def _entering(
+    program: Program, normal: Float[Array, "6 *n"], late: Bool[Array, ""]
+) -> tuple[Int[Array, "*n"], Bool[Array, "*n"]]:
     """The ray that lies farthest outside the face with this normal (late: the first that does), and whether one does."""
     # Stored before it is reduced, or XLA's CPU code computes each product again for every lane of the reduction.
     gain = jax.lax.optimization_barrier(combination(normal, program.rays))
@@ -300,27 +311,31 @@ def _entering(program: Program, normal: Float[Array, "6 *n"], late) -> tuple[Int
     return first_of(gain, jnp.where(late, enough, best)), best > enough
 
 
-def _leaving(program: Program, basis: Basis, held: Held, direction, late) -> tuple[Bool[Array, "6 *n"], Bool[Array, "*n"]]:
+def _leaving(
+    program: Program, basis: Basis, held: Held, direction: Float[Array, "6 *n"], late: Bool[Array, ""]
+) -> tuple[Bool[Array, "6 *n"], Bool[Array, "*n"]]:
     """The column that has to leave as a ray comes in, of those that come to zero first, and whether there is one."""
     bounds = tolerances(direction.dtype)
-    is_ray, is_unit, missing = basis.index >= 0, basis.index <= UNIT, held.missing != 0
+    is_ray, is_unit, missing = basis.chosen >= 0, basis.chosen <= UNIT, held.missing != 0
     size = jnp.abs(direction)
-    falls = jnp.where(missing, direction * held.weights > 0, is_unit | is_ray & (direction > 0)) & (basis.index != FREE)
-    left = jnp.where(missing, jnp.abs(held.weights), jnp.where(is_unit, 0, jnp.maximum(held.weights, 0)))
-    bland = 1 / (2.0 + jnp.abs(basis.index)).astype(size.dtype)
+    falls = jnp.where(missing, direction * held.weights > 0, is_unit | is_ray & (direction > 0)) & (basis.chosen != FREE)
+    above = jnp.where(missing, jnp.abs(held.weights), jnp.where(is_unit, 0, jnp.maximum(held.weights, 0)))
+    bland = 1 / (2.0 + jnp.abs(basis.chosen)).astype(size.dtype)
     preferred = jnp.where(late, bland, size)
-    return leaving_of(falls & (size > bounds.pivot), left, size, bounds.weight * program.scale, preferred)
+    return leaving_of(falls & (size > bounds.pivot), above, size, bounds.weight * program.scale, preferred)
 
 
-def leaving_of(falls, left, size, spare, preferred) -> tuple[Bool[Array, "6 *n"], Bool[Array, "*n"]]:
+def leaving_of(
+    falls: Bool[Array, "6 *n"], above: Array, size: Array, spare: Array | float, preferred: Array
+) -> tuple[Bool[Array, "6 *n"], Bool[Array, "*n"]]:
     """The ratio test: which of six columns has to leave, and whether there is one.
 
-    falls: columns that come nearer to zero as the new one comes in. left: how far they are from it. size: how fast they
+    falls: columns that come nearer to zero as the new one comes in. above: how far they are from it. size: how fast they
     fall. spare: how far below zero a weight may come so that a larger pivot can be taken (Harris). preferred: of columns
     that rounding cannot tell apart, the one where this is largest.
     """
     safe = jnp.where(falls, size, 1)
-    within = jnp.min(jnp.where(falls, (left + spare) / safe, jnp.inf), axis=0)
+    within = jnp.min(jnp.where(falls, (above + spare) / safe, jnp.inf), axis=0)
     # Compared as quotients on both sides: a product could round down, and the very column that sets the bound be left out.
-    element, leaving = largest(jnp.where(falls & (left / safe <= within), preferred, 0))
+    element, leaving = largest(jnp.where(falls & (above / safe <= within), preferred, 0))
     return leaving, element > 0

@@ -5,7 +5,7 @@ arrays in memory and ten times slower where it has to compute them on the way.
 """
 
 import functools
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -42,7 +42,7 @@ class Polygon(NamedTuple):
         """With the acceleration's sign turned: its lower boundary is minus the upper boundary of this one."""
         return _stored(self._replace(on_acceleration=-self.on_acceleration, start=()))
 
-    def seen_from(self, start: Float[Array, "*n"], heading) -> "Polygon":
+    def seen_from(self, start: Float[Array, "*n"], heading: int | Float[Array, ""]) -> "Polygon":
         """With alpha counted from `start`, onwards (heading +1) or back (-1); so is the acceleration."""
         return _stored(
             self._replace(
@@ -57,7 +57,7 @@ class Polygon(NamedTuple):
         """The same, with what its survey has found: ready to be walked."""
         return self._replace(start=survey.start)
 
-    def survey(self, near=None) -> Survey:
+    def survey(self, near: Any = None) -> Survey:
         """Static region, and polygon at alpha = 0. near: not used, faces are surveyed as fast from anywhere."""
         on_acceleration, on_alpha, bound = self[:3]
         static, values = jax.lax.optimization_barrier((ratio(bound, on_alpha), ratio(bound, on_acceleration)))
@@ -81,7 +81,13 @@ class Polygon(NamedTuple):
             start=(lowest, s_other),   # without a lowest, no other rows are left but walls
         )
 
-    def boundary(self, limit: Float[Array, "*n"], rising: bool = False, most: int | None = None, enough=None) -> Boundary:
+    def boundary(
+        self,
+        limit: Float[Array, "*n"],
+        rising: bool = False,
+        most: int | None = None,
+        enough: Float[Array, "*n"] | None = None,
+    ) -> Boundary:
         """The lower boundary, as `Producer` has it."""
         return _boundary(self, *jax.lax.stop_gradient((limit.astype(self.bound.dtype), enough)), rising, most)
 
@@ -98,14 +104,14 @@ def polygon(
     line = wrench_line(cone.origin, cone.length, com, along, gravity)
     wrenches = jnp.stack([line.per_acceleration, line.per_alpha, line.at_rest], axis=1)
     rows = jnp.tensordot(faces, wrenches, axes=1, precision=jax.lax.Precision.HIGHEST)
-    top = line.reach, line.weight / line.length
+    top = line.remoteness, line.weight / line.length
     return _stored(
         Polygon(
             on_acceleration=_without_noise(rows[:, 0], bounds.zero_coefficient * top[0]),
             on_alpha=_without_noise(rows[:, 1], bounds.zero_coefficient * top[1]),
-            bound=rows[:, 2] + bounds.slack * line.weight * line.reach,
+            bound=rows[:, 2] + bounds.slack * line.weight * line.remoteness,
             top=top,
-            size=line.length * line.reach,
+            size=line.length * line.remoteness,
         )
     )
 
@@ -120,7 +126,9 @@ def _stored(rows: Polygon) -> Polygon:
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(3, 4))
-def _boundary(rows: Polygon, limit: Float[Array, "*n"], enough, rising: bool, most: int | None) -> Boundary:
+def _boundary(
+    rows: Polygon, limit: Float[Array, "*n"], enough: Array | None, rising: bool, most: int | None
+) -> Boundary:
     lower = rows.on_acceleration < 0
     # Rows that do not bound the acceleration from below get an infinite slope: a walk that meets them is at its end.
     slopes = jnp.where(lower, -ratio(rows.on_alpha, rows.on_acceleration), jnp.inf)
@@ -132,13 +140,13 @@ def _boundary(rows: Polygon, limit: Float[Array, "*n"], enough, rising: bool, mo
     return walk(follow, Affine(value, slope), (), value == -jnp.inf, wall, limit, rising, most, enough)[0]
 
 
-def _wall(rows: Polygon):
+def _wall(rows: Polygon) -> Float[Array, "*n"]:
     """Where the polygon ends, as far as rows on alpha alone say."""
     walls = (rows.on_acceleration == 0) & (rows.on_alpha > 0)
     return jnp.min(jnp.where(walls, ratio(rows.bound, rows.on_alpha), jnp.inf), axis=0)
 
 
-def _crossings(rows: Polygon, intercept, slope):
+def _crossings(rows: Polygon, intercept: Array, slope: Array) -> Float[Array, "m *n"]:
     """Where each row ends a line (m, *n): on it, a row allows alpha <= (bound - on_acceleration intercept) / rate.
 
     Infinity where it does not: where the rate is zero, or no more than rounding error.
@@ -148,7 +156,7 @@ def _crossings(rows: Polygon, intercept, slope):
     return jnp.where(crosses, (rows.bound - rows.on_acceleration * intercept) / jnp.where(crosses, rate, 1), jnp.inf)
 
 
-def _follow(rows: Polygon, slopes, alpha, line: Affine) -> Next:
+def _follow(rows: Polygon, slopes: Array, alpha: Array, line: Affine) -> Next:
     """The row that ends a line, and the line of that row. A pivot of the dual simplex."""
     at = jax.lax.optimization_barrier(_crossings(rows, *line))
     end = jnp.maximum(alpha, jnp.min(at, axis=0))

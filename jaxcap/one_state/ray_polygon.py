@@ -5,7 +5,8 @@ end, and one pivot of the dual simplex the next line, which is (27)-(29) without
 """
 
 import functools
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -55,23 +56,29 @@ class RayPolygon(NamedTuple):
     start: Basis | None = None
     """Of the smallest acceleration at alpha = 0, or of a place nearby."""
 
+    @property
+    def ready(self) -> Basis:
+        """`start`, of a polygon that knows its survey: only such a one is walked, turned or moved."""
+        assert self.start is not None, "the polygon is used before it knows its survey"
+        return self.start
+
     def knowing(self, survey: Survey) -> "RayPolygon":
         """The same, with a basis to start from."""
         return self._replace(start=survey.start)
 
     def flipped(self) -> "RayPolygon":
         """With the acceleration's sign turned: its lower boundary is minus the upper boundary of this one."""
-        return self._replace(per_acceleration=-self.per_acceleration, start=_turned(self.start))
+        return self._replace(per_acceleration=-self.per_acceleration, start=_turned(self.ready))
 
-    def seen_from(self, start: Float[Array, "*n"], heading) -> "RayPolygon":
+    def seen_from(self, start: Float[Array, "*n"], heading: int | Float[Array, ""]) -> "RayPolygon":
         """With alpha counted from `start`, onwards (heading +1) or back (-1); so is the acceleration."""
-        turned = _turned(self.start)
-        inverse = jnp.where(jnp.asarray(heading) > 0, self.start.inverse, turned.inverse)
+        turned = _turned(self.ready)
+        inverse = jnp.where(jnp.asarray(heading) > 0, self.ready.inverse, turned.inverse)
         return self._replace(
             per_acceleration=heading * self.per_acceleration,
             per_alpha=heading * self.per_alpha,
             target=self.target + self.per_alpha * start,
-            start=Basis(self.start.index, inverse),
+            start=Basis(self.ready.chosen, inverse),
         )
 
     def survey(self, near: "Bases | None" = None) -> Survey:
@@ -89,7 +96,7 @@ class RayPolygon(NamedTuple):
         begin = _turned(first.basis) if near is None else simplex.renewed(most, near.most)
         second = simplex.solve(most, begin, standing & feasible)
         bounded = lambda program, found: jnp.where(
-            (found.outcome == Outcome.OPTIMAL) & jnp.any(found.basis.index == FREE, axis=0),
+            (found.outcome == Outcome.OPTIMAL) & jnp.any(found.basis.chosen == FREE, axis=0),
             _value(program, found.basis),
             -jnp.inf,
         )
@@ -111,7 +118,13 @@ class RayPolygon(NamedTuple):
             start=simplex.improved(lowest, start.basis),
         )
 
-    def boundary(self, limit: Float[Array, "*n"], rising: bool = False, most: int | None = None, enough=None) -> Boundary:
+    def boundary(
+        self,
+        limit: Float[Array, "*n"],
+        rising: bool = False,
+        most: int | None = None,
+        enough: Float[Array, "*n"] | None = None,
+    ) -> Boundary:
         """The lower boundary, as `Producer` has it."""
         return _boundary(self, *jax.lax.stop_gradient((limit.astype(self.target.dtype), enough)), rising, most)
 
@@ -137,7 +150,7 @@ def ray_polygon(
     columns = jnp.swapaxes(jnp.asarray(rays.rays, com.dtype), 0, 1)
     columns = columns.reshape(*columns.shape, *[1] * (com.ndim + 1 - columns.ndim))   # one set for all lanes
     columns = jax.lax.optimization_barrier(scaled(columns))
-    scale, steepest = line.weight * line.reach, line.weight / line.length
+    scale, steepest = line.weight * line.remoteness, line.weight / line.length
     return RayPolygon(
         rays=columns,
         per_acceleration=scaled(line.per_acceleration),
@@ -145,7 +158,7 @@ def ray_polygon(
         target=bounds.slack * scale * simplex.mixture(columns) - scaled(line.at_rest),
         scale=scale,
         steepest=steepest,
-        size=line.length * line.reach,
+        size=line.length * line.remoteness,
     )
 
 
@@ -155,31 +168,35 @@ def _without_noise(vector, noise):
 
 def _turned(basis: Basis) -> Basis:
     """The basis with the free variable's column turned round."""
-    return basis._replace(inverse=jnp.where((basis.index == FREE)[:, None], -basis.inverse, basis.inverse))
+    return basis._replace(inverse=jnp.where((basis.chosen == FREE)[:, None], -basis.inverse, basis.inverse))
 
 
 def _normal(basis: Basis) -> Float[Array, "6 *n"]:
     """Of the face through the basis, pointing outwards, scaled such that its product with the free column is 1."""
-    return simplex.combination((basis.index == FREE).astype(basis.inverse.dtype), basis.inverse)
+    return simplex.combination((basis.chosen == FREE).astype(basis.inverse.dtype), basis.inverse)
 
 
 def _value(program: Program, basis: Basis) -> Float[Array, "*n"]:
     """The free variable where the basis meets the target."""
-    held = simplex.weights(basis.inverse, simplex.columns(program, basis.index), program.target)
-    return jnp.sum(jnp.where(basis.index == FREE, held, 0), axis=0)
+    held = simplex.weights(basis.inverse, simplex.columns(program, basis.chosen), program.target)
+    return jnp.sum(jnp.where(basis.chosen == FREE, held, 0), axis=0)
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(3, 4))
-def _boundary(polygon: RayPolygon, limit: Float[Array, "*n"], enough, rising: bool, most: int | None) -> Boundary:
+def _boundary(
+    polygon: RayPolygon, limit: Float[Array, "*n"], enough: Array | None, rising: bool, most: int | None
+) -> Boundary:
     return _search(polygon, limit, enough, rising, most, lambda basis: ())[0]
 
 
-def _search(polygon: RayPolygon, limit, enough, rising: bool, most: int | None, mark):
+def _search(
+    polygon: RayPolygon, limit: Array, enough: Array | None, rising: bool, most: int | None, mark: Callable[[Basis], Any]
+) -> tuple[Boundary, Any]:
     """The boundary, and the marks of its pieces' bases."""
     program = polygon.at_start()
     walked = limit > 0
-    found = simplex.solve(program, polygon.start, walked)
-    free = found.basis.index == FREE
+    found = simplex.solve(program, polygon.ready, walked)
+    free = found.basis.chosen == FREE
     floorless = walked & ((found.outcome == Outcome.UNBOUNDED) | ~jnp.any(free, axis=0))
     lost = walked & ((found.outcome == Outcome.UNDECIDED) | (found.outcome == Outcome.INFEASIBLE))
     wall = jax.lax.cond(jnp.any(floorless), _wall, lambda polygon, _: jnp.full_like(limit, jnp.inf), polygon, floorless)
@@ -207,11 +224,11 @@ def _wall(polygon: RayPolygon, floorless: Bool[Array, "*n"]) -> Float[Array, "*n
     program = Program(rays, polygon.per_alpha, polygon.target, polygon.scale)
     start = simplex.identity(floorless.shape, polygon.target.dtype)
     found = simplex.solve(program, simplex.freed(program, start), floorless)
-    bounded = (found.outcome == Outcome.OPTIMAL) & jnp.any(found.basis.index == FREE, axis=0)
+    bounded = (found.outcome == Outcome.OPTIMAL) & jnp.any(found.basis.chosen == FREE, axis=0)
     return jnp.where(bounded, -_value(program, found.basis), jnp.inf)
 
 
-def _follow(polygon: RayPolygon, alpha, basis: Basis) -> Next:
+def _follow(polygon: RayPolygon, alpha: Array, basis: Basis) -> Next:
     """Where the first weight of the basis comes to zero, and the basis with the ray that takes over."""
     end, leaving, grows = _end(polygon, basis)
     bounds = tolerances(polygon.target.dtype)
@@ -230,15 +247,15 @@ def _follow(polygon: RayPolygon, alpha, basis: Basis) -> Next:
     return Next(end, leaves, _line(polygon, following), following)
 
 
-def _end(polygon: RayPolygon, basis: Basis):
+def _end(polygon: RayPolygon, basis: Basis) -> tuple[Float[Array, "*n"], Bool[Array, "6 *n"], Bool[Array, "*n"]]:
     """Where the line of a basis ends, which column leaves there (one of six), and whether it does so as it grows."""
     bounds = tolerances(polygon.target.dtype)
     held, rate = simplex.times(basis.inverse, polygon.target), simplex.times(basis.inverse, polygon.per_alpha)
     noise = jnp.max(jnp.abs(basis.inverse), axis=1) * jnp.max(jnp.abs(polygon.per_alpha), axis=0)
-    unit = basis.index <= UNIT
-    ends = (jnp.where(unit, jnp.abs(rate), -rate) > bounds.parallel * noise) & (basis.index != FREE)
-    left = jnp.where(unit, bounds.slack * polygon.scale - jnp.sign(rate) * held, held)
-    at = jnp.where(ends, jnp.maximum(left, 0) / jnp.where(ends, jnp.abs(rate), 1), jnp.inf)
+    unit = basis.chosen <= UNIT
+    ends = (jnp.where(unit, jnp.abs(rate), -rate) > bounds.parallel * noise) & (basis.chosen != FREE)
+    above = jnp.where(unit, bounds.slack * polygon.scale - jnp.sign(rate) * held, held)
+    at = jnp.where(ends, jnp.maximum(above, 0) / jnp.where(ends, jnp.abs(rate), 1), jnp.inf)
     end = jnp.min(at, axis=0)
     _, leaving = simplex.largest(jnp.where(at <= end, jnp.abs(rate), 0))
     return end, leaving, jnp.any(leaving & unit & (rate > 0), axis=0)
@@ -248,7 +265,7 @@ def _end(polygon: RayPolygon, basis: Basis):
 def _boundary_jvp(rising, most, primals, tangents):
     """The search for the bases is not differentiated; the lines that belong to them are."""
     (polygon, limit, enough), (change, *_) = primals, tangents
-    found, indices = _search(polygon, limit, enough, rising, most, lambda basis: basis.index)
+    found, indices = _search(polygon, limit, enough, rising, most, lambda basis: basis.chosen)
     final = jnp.isinf(found.pieces.right)
 
     def of_piece(piece):
@@ -258,11 +275,11 @@ def _boundary_jvp(rising, most, primals, tangents):
         _, leaving, _ = _end(polygon, basis)
 
         def figures(polygon):
-            matrix = simplex.columns(polygon.at_start(), basis.index)
+            matrix = simplex.columns(polygon.at_start(), basis.chosen)
             held = simplex.weights(basis.inverse, matrix, polygon.target)
             rate = simplex.weights(basis.inverse, matrix, polygon.per_alpha)
-            free = lambda values: jnp.sum(jnp.where(basis.index == FREE, values, 0), axis=0)
-            out = lambda values: jnp.sum(jnp.where(leaving & (basis.index != FREE), values, 0), axis=0)
+            free = lambda values: jnp.sum(jnp.where(basis.chosen == FREE, values, 0), axis=0)
+            out = lambda values: jnp.sum(jnp.where(leaving & (basis.chosen != FREE), values, 0), axis=0)
             return Affine(free(held), free(rate)), -ratio(out(held), out(rate))
 
         return jax.jvp(figures, (polygon,), (change,))[1]

@@ -10,6 +10,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from jaxcap.contacts.conventions import ArrayLike
+
 
 class WrenchLine(NamedTuple):
     """The centroidal wrench per unit mass of a CoM on its line, force over torque about the contacts' centroid, (10) in (3):
@@ -29,11 +31,13 @@ class WrenchLine(NamedTuple):
     """|g| [m/s^2]."""
     length: Float[Array, "*#n"]
     """Size of the stance [m]."""
-    reach: Float[Array, "*n"]
+    remoteness: Float[Array, "*n"]
     """1 + distance of the CoM from the contacts' centroid over the size of the stance: the scale of rounding errors."""
 
 
-def wrench_line(origin, length, com: Float[Array, "3 *n"], along: Float[Array, "3 *n"], gravity) -> WrenchLine:
+def wrench_line(
+    origin: ArrayLike, length: ArrayLike, com: Float[Array, "3 *n"], along: Float[Array, "3 *n"], gravity: ArrayLike
+) -> WrenchLine:
     """The wrenches of a CoM on the line com + alpha * along.
 
     origin: (3,) centroid of the contacts [m], length: their size [m]. com: [m]. along: unit vectors, or zero. gravity: (3,)
@@ -50,7 +54,7 @@ def wrench_line(origin, length, com: Float[Array, "3 *n"], along: Float[Array, "
         at_rest=jnp.concatenate([gravity, _cross(arm, gravity)]),
         weight=jnp.sqrt(jax.lax.stop_gradient(jnp.sum(gravity * gravity, axis=0))),
         length=length,
-        reach=1 + distance / length,
+        remoteness=1 + distance / length,
     )
 
 
