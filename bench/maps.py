@@ -69,7 +69,7 @@ def differing(output: Path, points: Grid, starts: np.ndarray, answer: jaxcap.Cap
         flat = dataset.capturable.transpose(*points.dims).variable
         rows = math.prod(points.shape[1:])
         found = []
-        for start in starts:   # only the rows of com_x that the run touches are read
+        for start in starts:  # only the rows of com_x that the run touches are read
             first, last = start // rows, (start + RUN - 1) // rows
             part = np.ravel(flat[first : last + 1].values)
             found.append(part[start - first * rows :][:RUN])

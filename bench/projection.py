@@ -126,7 +126,8 @@ def line(kind: str, sets: int, seed: int, before: ModuleType | None, every: int)
 def _summary(name: str, results: list[Projected]) -> dict[str, object]:
     known = [len(one.faces) for one in results if one.faces is not None]
     return {
-        f"faces{name}": np.mean(known) if known else np.nan, f"ms{name}": 1e3 * np.mean([one.seconds for one in results]),
+        f"faces{name}": np.mean(known) if known else np.nan,
+        f"ms{name}": 1e3 * np.mean([one.seconds for one in results]),
         f"refused{name}": f"{len(results) - len(known)} of {len(results)}",
     }
 

@@ -106,9 +106,7 @@ def level(heights, upright) -> Callable[..., Placed]:
     def kind(rng, distance: float, contacts: int) -> Placed:
         size = between(rng, 5e-4, 0.15)
         place = lambda: distance * np.r_[rng.normal(size=2), rng.choice(heights)]
-        return joined(
-            patch(rng, place(), facing([0, 0, rng.choice(upright)], turned(rng)), size) for _ in range(contacts)
-        )
+        return joined(patch(rng, place(), facing([0, 0, rng.choice(upright)], turned(rng)), size) for _ in range(contacts))
 
     return kind
 
@@ -179,9 +177,7 @@ def nearly_on_a_line(rng, distance: float, contacts: int) -> Placed:
     """Points that are on a line, with equal frames, up to 1e-12 to 1e-3."""
     tilt, along, frame = between(rng, 1e-12, 1e-3), facing(rng.normal(size=3))[:, 2], any_rotation(rng)
     place = lambda: distance * (rng.normal() * along + tilt * rng.normal(size=3))
-    return joined(
-        (place()[None], (frame @ rotation(*(tilt * rng.normal(size=3))))[None]) for _ in range(max(2, contacts))
-    )
+    return joined((place()[None], (frame @ rotation(*(tilt * rng.normal(size=3))))[None]) for _ in range(max(2, contacts)))
 
 
 def round_numbers(rng, distance: float, contacts: int) -> Placed:

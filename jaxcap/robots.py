@@ -206,9 +206,7 @@ def centroidal_states(model: Model, configurations: ArrayLike, velocities: Array
     return out
 
 
-def convention_error(
-    model: Model, configurations: ArrayLike, velocities: ArrayLike, dt: float
-) -> Float[np.ndarray, "n-2"]:
+def convention_error(model: Model, configurations: ArrayLike, velocities: ArrayLike, dt: float) -> Float[np.ndarray, "n-2"]:
     """How far a recorded trajectory's velocities are from its configurations: check a convention, do not guess it.
 
     It shrinks with dt^2 where the conventions are Pinocchio's. Where they are not (base velocity in the world frame,

@@ -23,7 +23,7 @@ os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", str(WORTH_KE
 import jax  # noqa: E402
 from jaxtyping import install_import_hook  # noqa: E402
 
-jax.config.update("jax_compilation_cache_dir", os.environ["JAX_COMPILATION_CACHE_DIR"])   # a plugin may have imported JAX
+jax.config.update("jax_compilation_cache_dir", os.environ["JAX_COMPILATION_CACHE_DIR"])  # a plugin may have imported JAX
 jax.config.update("jax_persistent_cache_min_compile_time_secs", WORTH_KEEPING)
 
 with install_import_hook("jaxcap", "beartype.beartype"):
@@ -35,8 +35,6 @@ def pytest_addoption(parser):
 
 
 def pytest_configure(config):
-    if not config.option.everything:   # what the quick tests wait for is XLA: they take programs that it has not polished
-        jax.config.update("jax_disable_most_optimizations", True)
     # A program that another process is just writing, or that was cut off in writing, is compiled again
     config.addinivalue_line("filterwarnings", "ignore:Error reading persistent compilation cache entry:UserWarning")
     size = sum(file.stat().st_size for file in KEPT.glob("*"))

@@ -73,7 +73,9 @@ def start(*arguments, **options):
     root = Path(__file__).parents[1]
     path = os.pathsep.join([str(root), str(root / "tests")])
     return subprocess.Popen(
-        [sys.executable, "-c", SLOW, *map(str, arguments)], text=True, env={**os.environ, "PYTHONPATH": path},
+        [sys.executable, "-c", SLOW, *map(str, arguments)],
+        text=True,
+        env={**os.environ, "PYTHONPATH": path},
         **{"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, **options},
     )
 
@@ -159,8 +161,16 @@ def test_map_coordinates_lose_nothing(tmp_path):
     coms, velocities = states(50)
     found = []
     for name, place in (("here", np.zeros(3)), ("there", np.array([5e5, 5e6, 300]))):
-        feet = [{"type": "rectangle", "position": np.add(place, [0, y, 0]).tolist(), "half_length": 0.1, "half_width": 0.06,
-                 "friction": 0.5} for y in (0.1, -0.1)]
+        feet = [
+            {
+                "type": "rectangle",
+                "position": np.add(place, [0, y, 0]).tolist(),
+                "half_length": 0.1,
+                "half_width": 0.06,
+                "friction": 0.5,
+            }
+            for y in (0.1, -0.1)
+        ]
         (tmp_path / f"{name}.json").write_text(json.dumps({"contacts": feet}))
         write_states(tmp_path / f"{name}.npz", com=coms + place, com_velocity=velocities)
         output = tmp_path / f"{name}.parquet"
@@ -300,14 +310,17 @@ def test_a_signal_leaves_nothing(tmp_path, arguments, number, code):
     assert sorted(os.listdir(tmp_path)) == ["feet.yaml", "states.npz"]
 
 
-LOST = SLOW.replace("    time.sleep(0.02)\n", """\
+LOST = SLOW.replace(
+    "    time.sleep(0.02)\n",
+    """\
     if len(calls) == 1:
         class Callback:
             def __del__(self):
                 time.sleep(60)   # a handler that raises here raises for nobody
         Callback()
     time.sleep(0.02)
-""")
+""",
+)
 """The same, at first in a place where Python drops exceptions, as it does in callbacks of libraries."""
 
 
@@ -319,8 +332,13 @@ def test_a_signal_whose_exception_is_lost_still_ends_the_run(tmp_path, number, c
     arguments = command(tmp_path / "states.npz", tmp_path / "feet.yaml", tmp_path / "out.parquet", "--batch-size", "5")
     root = Path(__file__).parents[1]
     path = os.pathsep.join([str(root), str(root / "tests")])
-    process = subprocess.Popen([sys.executable, "-c", LOST, *arguments], text=True, stdout=subprocess.PIPE,
-                               stderr=subprocess.PIPE, env={**os.environ, "PYTHONPATH": path})
+    process = subprocess.Popen(
+        [sys.executable, "-c", LOST, *arguments],
+        text=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        env={**os.environ, "PYTHONPATH": path},
+    )
     assert process.stdout.readline() == "scoring\n"
     time.sleep(0.3)
     process.send_signal(number)
@@ -335,7 +353,7 @@ def test_a_signal_leaves_without_taking_the_interpreter_down(monkeypatch):
     monkeypatch.setattr(cli, "_leave", left.append)
     monkeypatch.setattr(cli, "_outcome", lambda arguments: 143)
     assert main() == 143 and left == [143]
-    assert main([]) == 143 and left == [143]   # within a process of someone else
+    assert main([]) == 143 and left == [143]  # within a process of someone else
 
 
 def test_interrupt_in_process(monkeypatch, tmp_path, arguments, capsys):

@@ -223,7 +223,7 @@ def test_interrupted_and_continued(tmp_path, contacts, monkeypatch):
     """Ctrl-C: exit code 130, nothing under the name of the map, and the same command goes on."""
     output, axes = tmp_path / "map.zarr", ("--axis", "com_x=0:0.1:8", "--axis", "com_y=0:0.1:8", "--axis", "heading=0:1:8")
     run = start(0.05, *command(contacts, output, *axes))
-    for _ in range(3):   # regions
+    for _ in range(3):  # regions
         run.stdout.readline()
     run.send_signal(signal.SIGINT)
     _, error = run.communicate(timeout=60)
@@ -261,9 +261,11 @@ def test_a_map_killed_five_times_at_random_is_the_same_to_the_bit(tmp_path, cont
     assert not (tmp_path / "map.zarr").exists()
     assert run(tmp_path / "map.zarr").wait() == 0
     assert not journal.parent.exists()
-    whole, killed = ({file.relative_to(tmp_path / name): file for file in (tmp_path / name).rglob("*") if file.is_file()}
-                     for name in ("whole.zarr", "map.zarr"))
-    assert whole.keys() == killed.keys() and len(whole) > 3 * 30   # chunks of three quantities
+    whole, killed = (
+        {file.relative_to(tmp_path / name): file for file in (tmp_path / name).rglob("*") if file.is_file()}
+        for name in ("whole.zarr", "map.zarr")
+    )
+    assert whole.keys() == killed.keys() and len(whole) > 3 * 30  # chunks of three quantities
     assert all(file.read_bytes() == killed[name].read_bytes() for name, file in whole.items())
 
 
@@ -274,7 +276,7 @@ def test_a_terminal_sees_a_bar(tmp_path, contacts):
     run.communicate(timeout=60)
     os.close(end)
     shown = b""
-    with contextlib.suppress(OSError):   # the end of a terminal that nobody holds open
+    with contextlib.suppress(OSError):  # the end of a terminal that nobody holds open
         while piece := os.read(terminal, 4096):
             shown += piece
     os.close(terminal)

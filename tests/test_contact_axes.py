@@ -60,7 +60,7 @@ def test_a_slope_is_gravity_turned(x64):
     """A robot on a slope is one on level ground, under gravity that is not upright: in the frame of its contacts."""
     slope, downhill = 0.15, 2.0
     turn = np.array(rotation(0, 0, downhill)) @ rotation(0, slope, 0) @ rotation(0, 0, -downhill)
-    assert (turn @ [np.cos(downhill), np.sin(downhill), 0])[2] == pytest.approx(-np.sin(slope))   # downhill goes down
+    assert (turn @ [np.cos(downhill), np.sin(downhill), 0])[2] == pytest.approx(-np.sin(slope))  # downhill goes down
     coms, velocities = grid_of({**AXES, "speed": 0.1}).states(np.arange(64))
     centroid = FEET.points.mean(axis=0)
     cone, gravity = jaxcap.centroidal_cone(FEET), np.array([0, 0, -9.81])
@@ -223,7 +223,7 @@ def test_the_command_line_maps_sections_and_draws_them(tmp_path, capsys):
         for number, count in ((0, 1), (1, 2)):
             figure, _ = map_figure(found, sets, None, (None, None), {"contact_set": number, "slope": 0.08727})
             soles = [patch for patch in figure.axes[0].patches if len(patch.get_xy()) == 5]
-            assert len(soles) == count   # turned about their centroid, seen from above
+            assert len(soles) == count  # turned about their centroid, seen from above
             assert np.ptp(soles[0].get_xy()[:, 0]) == pytest.approx(0.2 * np.cos(np.radians(5)))
             name = ("left_foot", "feet")[number]
             assert figure.get_suptitle() == f"com_z = 0.8 m, pitch = 0 deg, contact_set = {name}, slope = 5 deg"

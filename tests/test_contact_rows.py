@@ -61,9 +61,9 @@ SPELLINGS = {
     "inner lists of fixed size.parquet": lambda: arrow_contacts(LISTS, "fixed"),
     "padded with nan.parquet": lambda: fixed(ARRAYS),
     "padded with a mask.parquet": lambda: fixed(masked(ARRAYS)),
-    "padded with nulls.parquet": lambda: arrow_contacts({
-        name: [[*row, *[None] * (8 - len(row))] for row in rows] for name, rows in LISTS.items()
-    }),
+    "padded with nulls.parquet": lambda: arrow_contacts(
+        {name: [[*row, *[None] * (8 - len(row))] for row in rows] for name, rows in LISTS.items()}
+    ),
     "one list of fixed size.parquet": lambda: fixed({name: x.reshape(N, -1) for name, x in ARRAYS.items()}),
     "padded with nan.npz": lambda: ARRAYS,
     "padded with a mask.npz": lambda: masked(ARRAYS),
@@ -113,12 +113,15 @@ def test_whole_numbers_and_single_precision(tmp_path):
     assert contacts.mask.all() and (contacts.friction == 1).all() and not contacts.bad.rows.any()
 
 
-@pytest.mark.parametrize("columns", [
-    {name: [[]] * 3 for name in LISTS},
-    {name: x[:3, :0] for name, x in ARRAYS.items()},
-    {name: x[:3] * np.nan for name, x in ARRAYS.items()},
-    {**{name: x[:3] for name, x in ARRAYS.items()}, "contact_mask": np.zeros((3, 8), bool)},
-])
+@pytest.mark.parametrize(
+    "columns",
+    [
+        {name: [[]] * 3 for name in LISTS},
+        {name: x[:3, :0] for name, x in ARRAYS.items()},
+        {name: x[:3] * np.nan for name, x in ARRAYS.items()},
+        {**{name: x[:3] for name, x in ARRAYS.items()}, "contact_mask": np.zeros((3, 8), bool)},
+    ],
+)
 def test_no_contact_in_any_row(tmp_path, columns):
     extension = "parquet" if isinstance(columns["contact_points"], list) else "npz"
     contacts = contacts_of(write_states(tmp_path / f"a.{extension}", 3, **columns))
@@ -137,26 +140,28 @@ def test_contacts_are_padded_in_each_batch_to_a_multiple_of_four(tmp_path):
 
 PLAIN = [[2, 0, 1], ["c", "a", "b"], np.array([2, 0, 1], np.uint64), np.array(["c", "a", "b"])]
 ARROW = [
-    pa.array([2, 0, 1], pa.uint8()), pa.array(["c", "a", "b"], pa.large_string()),
+    pa.array([2, 0, 1], pa.uint8()),
+    pa.array(["c", "a", "b"], pa.large_string()),
     pa.array(["c", "a", "b"]).dictionary_encode(),
 ]
 
 
-@pytest.mark.parametrize(
-    ("extension", "column"), [*(("parquet", x) for x in PLAIN + ARROW), *(("npz", x) for x in PLAIN)]
-)
+@pytest.mark.parametrize(("extension", "column"), [*(("parquet", x) for x in PLAIN + ARROW), *(("npz", x) for x in PLAIN)])
 def test_choices_by_number_and_by_name(tmp_path, column, extension):
     choices = contacts_of(write_states(tmp_path / f"a.{extension}", 3, contact_set=column))
     numbers, bad = SharedSets([ContactSet([[0, 0, i]], np.eye(3), 1) for i in range(3)], "abc").choose(choices)
     assert numbers.tolist() == [2, 0, 1] and not bad.rows.any()
 
 
-@pytest.mark.parametrize(("column", "why"), [
-    (np.array([0, 3, 1]), "contact_set = 3 (expected 0 to 2)"),
-    (np.array([0, -1, 1]), "contact_set = -1 (expected 0 to 2)"),
-    (np.array([0, 2**64 - 1, 1], np.uint64), "contact_set = 18446744073709551615 (expected 0 to 2)"),
-    (np.array(["b", "1", "a"]), "contact_set = '1' (expected 'a', 'b')"),
-])
+@pytest.mark.parametrize(
+    ("column", "why"),
+    [
+        (np.array([0, 3, 1]), "contact_set = 3 (expected 0 to 2)"),
+        (np.array([0, -1, 1]), "contact_set = -1 (expected 0 to 2)"),
+        (np.array([0, 2**64 - 1, 1], np.uint64), "contact_set = 18446744073709551615 (expected 0 to 2)"),
+        (np.array(["b", "1", "a"]), "contact_set = '1' (expected 'a', 'b')"),
+    ],
+)
 def test_a_choice_that_there_is_not(column, why):
     sets = SharedSets([ContactSet([[0, 0, i]], np.eye(3), 1) for i in range(3)], ["a", "b", None])
     numbers, bad = sets.choose(chosen(column))
@@ -195,7 +200,9 @@ SETS = [sole(0.1), sole(0.1) + sole(-0.1), ContactSet(np.zeros((0, 3)), np.eye(3
 
 
 BROKEN = {
-    "points": [np.nan, np.inf, -np.inf], "friction": [np.nan, np.inf, 0.0, -0.5], "frames": [np.nan, np.inf, 0.0, -1.0, 1.1],
+    "points": [np.nan, np.inf, -np.inf],
+    "friction": [np.nan, np.inf, 0.0, -0.5],
+    "frames": [np.nan, np.inf, 0.0, -1.0, 1.1],
 }
 """Values that a contact cannot have; of a frame, its first entry."""
 

@@ -30,7 +30,8 @@ def docstrings(kind: type) -> dict[str, str]:
     pairs = zip(body.body, body.body[1:], strict=False)
     return {
         one.target.id: " ".join(text.value.value.split())
-        for one, text in pairs if isinstance(one, ast.AnnAssign) and isinstance(text, ast.Expr)
+        for one, text in pairs
+        if isinstance(one, ast.AnnAssign) and isinstance(text, ast.Expr)
     }
 
 

@@ -66,10 +66,15 @@ def test_the_index_of_a_pandas_frame_is_that_of_its_scores(scored, tmp_path, nam
 
 
 @pytest.mark.parametrize("target", ["out.parquet", "out.npz"])
-@pytest.mark.parametrize(("entry", "why"), [
-    ([], "com has 0 numbers"), ([1.0, 2.0], "com has 2 numbers"), (None, "com is null"),
-    ([0.0, np.nan, 1.0], "com = [0.0, nan, 1.0]"),
-])
+@pytest.mark.parametrize(
+    ("entry", "why"),
+    [
+        ([], "com has 0 numbers"),
+        ([1.0, 2.0], "com has 2 numbers"),
+        (None, "com is null"),
+        ([0.0, np.nan, 1.0], "com = [0.0, nan, 1.0]"),
+    ],
+)
 def test_a_row_that_is_no_state_costs_no_other(scored, tmp_path, target, entry, why):
     """F3, F4, F5: empty, short and missing lists; Parquet as pandas writes it; the first bad row and its column named."""
     coms = states(N)[0].tolist()
@@ -88,17 +93,25 @@ def test_a_row_that_is_no_state_costs_no_other(scored, tmp_path, target, entry, 
 def test_lists_of_any_length_become_an_array_in_npz(scored, tmp_path):
     """F4: that there are three numbers is known, whatever the type says."""
     coms, velocities = states(N)
-    write_states(tmp_path / "a.parquet", N, com=vectors(coms, pa.list_(pa.float64())),
-                 com_velocity=vectors(velocities, pa.large_list(pa.float32())))
+    write_states(
+        tmp_path / "a.parquet",
+        N,
+        com=vectors(coms, pa.list_(pa.float64())),
+        com_velocity=vectors(velocities, pa.large_list(pa.float32())),
+    )
     out, _ = scored(tmp_path / "a.parquet", output="out.npz")
     found = read_columns(out)
     np.testing.assert_array_equal(found["com"], coms)
     np.testing.assert_array_equal(found["com_velocity"], velocities.astype(np.float32))
 
 
-@pytest.mark.parametrize(("name", "value", "why"), [
-    ("com_y", np.nan, "com_y = nan"), ("com_velocity_z", np.inf, "com_velocity_z = inf"),
-])
+@pytest.mark.parametrize(
+    ("name", "value", "why"),
+    [
+        ("com_y", np.nan, "com_y = nan"),
+        ("com_velocity_z", np.inf, "com_velocity_z = inf"),
+    ],
+)
 def test_a_bad_column_is_named(scored, tmp_path, name, value, why):
     """F5, for columns of one axis each, in Parquet and NPZ."""
     given = frame()
@@ -137,10 +150,16 @@ def test_csv_is_read_in_pieces(monkeypatch, tmp_path):
         assert file.rows == 100 * N and sizes == [96] * 8 + [32]
 
 
-@pytest.mark.parametrize("text", [
-    "", "com_x,com_y\n1,2\n", "com_x;com_y\n1;2\n", "\xff\xfe\x00",
-    "com_x,com_y,com_z,com_velocity_x,com_velocity_y,com_velocity_z\n1,2,3,4,5,no\n",
-])
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "com_x,com_y\n1,2\n",
+        "com_x;com_y\n1;2\n",
+        "\xff\xfe\x00",
+        "com_x,com_y,com_z,com_velocity_x,com_velocity_y,com_velocity_z\n1,2,3,4,5,no\n",
+    ],
+)
 def test_a_csv_that_holds_no_states_is_told_in_one_line(scored, tmp_path, text):
     (tmp_path / "a.csv").write_text(text, encoding="latin-1")
     _, said = scored(tmp_path / "a.csv", code=2)
@@ -169,8 +188,17 @@ def damaged(tmp_path, old: bytes, new: bytes):
     return tmp_path / "a.npz"
 
 
-@pytest.mark.parametrize(("old", "new"), [(b"(8, 3)", b"(8, 3 "), (b"'shape'", b"'shap\xe9'"), (b"{'descr'", b"['descr'"),
-                                          (b"'<f8'", b"'<q9'"), (b"False", b"Fals("), (b"\x93NUMPY", b"\x93NUMPX")])
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        (b"(8, 3)", b"(8, 3 "),
+        (b"'shape'", b"'shap\xe9'"),
+        (b"{'descr'", b"['descr'"),
+        (b"'<f8'", b"'<q9'"),
+        (b"False", b"Fals("),
+        (b"\x93NUMPY", b"\x93NUMPX"),
+    ],
+)
 def test_a_damaged_header_is_told_in_one_line(scored, tmp_path, old, new):
     """F8: NumPy's parser of headers raises what its tools raise, a TokenError for one."""
     _, said = scored(damaged(tmp_path, old, new), code=2)

@@ -39,7 +39,7 @@ def test_rounded_to_single_precision_the_numbers_are_singles():
     [
         (SOLE, np.eye(3), [0, 0, 0.8], [0.1, 0, 0], True),
         (SOLE, np.eye(3), [0, 0, 0.8], [0.5, 0, 0], False),
-        (SOLE, np.eye(3), [0.2, 0, 0.8], [-0.5, 0, 0], True),   # runs into the region
+        (SOLE, np.eye(3), [0.2, 0, 0.8], [-0.5, 0, 0], True),  # runs into the region
         (SOLE, np.eye(3), [0.2, 0, 0.8], [-0.1, 0, 0], False),  # falls back
         (SOLE, np.eye(3), [0, 0, 0.8], [0, 0, -1], True),
         (FIST, np.stack([np.eye(3), np.diag([1, -1, -1])]), [0.2, 0, 0.8], [0, 0.5, 0], False),  # no moment about its axis
@@ -75,7 +75,7 @@ def test_differences_outside_the_band_are_found():
     assert fuzz.difference(right, other, np.full(3, 0.1), np.full(3, 0.2), 1e-6).verdicts.tolist() == [2]
     other = answers(3)
     other.max_speed[:] = [0.2, 0.2 * (1 + 1e-7), 0.3]
-    (row, speed), = fuzz.difference(right, other, np.full(3, 0.1), np.full(3, 0.2), 1e-6).limits
+    ((row, speed),) = fuzz.difference(right, other, np.full(3, 0.1), np.full(3, 0.2), 1e-6).limits
     assert row == 2 and speed == pytest.approx(0.25)
 
 

@@ -84,8 +84,12 @@ def test_mask_equals_absence():
     contacts, cones, coms, velocities = random_states(SETS, STATES, 11, form)
     other = contact_set(*random_contacts(np.random.default_rng(5), 1))
     hidden = jaxcap.ContactSet(other.points, other.frames, other.friction, mask=np.zeros(4, bool))
-    built = {id(arrays): FORMS[form](jaxcap.ContactSet(*(x[:4] for x in arrays)) + hidden
-                                     + jaxcap.ContactSet(*(x[4:] for x in arrays))) for arrays in contacts}
+    built = {
+        id(arrays): FORMS[form](
+            jaxcap.ContactSet(*(x[:4] for x in arrays)) + hidden + jaxcap.ContactSet(*(x[4:] for x in arrays))
+        )
+        for arrays in contacts
+    }
     assert_same(each()(cones, coms, velocities), each()(stack([built[id(arrays)] for arrays in contacts]), coms, velocities))
 
 

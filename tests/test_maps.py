@@ -53,7 +53,7 @@ def scored(axes, cone=CONE):
     assert points.size <= STATES
     index = np.resize(np.arange(points.size), STATES)
     (coms, _), (_, velocities) = points.states(index, np.float64), points.states(index, np.float32)
-    with jax.enable_x64(False):   # positions come in double precision, and are rounded relative to the contacts
+    with jax.enable_x64(False):  # positions come in double precision, and are rounded relative to the contacts
         out = jaxcap.score(cone, coms, velocities)
     return jax.tree.map(lambda field: np.asarray(field)[: points.size].reshape(points.shape), out)
 
@@ -80,7 +80,7 @@ def test_a_map_has_the_answers_of_score(heading):
     axes = {**POINTS, "heading": heading}
     found, expected = kernel_map(FEET, axes, EVERY), scored(axes)
     assert set(expected.case.ravel().tolist()) >= {Case.C1, Case.C3_1, Case.EMPTY}
-    assert np.nanmin(np.abs(expected.margin)) > 1e-5   # no verdict hangs on rounding
+    assert np.nanmin(np.abs(expected.margin)) > 1e-5  # no verdict hangs on rounding
     for name, values in expected._asdict().items():
         ours, values = found[name].values, values[..., 1] if name in LIMITS else values
         assert ours.dtype == values.dtype, name
@@ -150,7 +150,7 @@ def test_the_last_states_of_a_huge_grid(monkeypatch):
     points = grid_of(axes)
     assert points.size > 1e11
     answers = map_blocks.Answers([CONE], points, ("margin",), (0, 0, -9.81), np.float32)
-    (region, values), = answers.over([len(answers.regions) - 1])
+    ((region, values),) = answers.over([len(answers.regions) - 1])
     places = [np.arange(part.start, part.stop) for part in region.slices.values()]
     index = np.ravel_multi_index(np.meshgrid(*places, indexing="ij"), points.shape).ravel()
     assert index[-1] == points.size - 1
@@ -242,7 +242,7 @@ def test_the_direction_of_heading_and_pitch():
     half, root = 1.0, np.sqrt(3)
     expected = [[0, 0, -2], [2, 0, 0], [root, 0, half], [0, 0, -2], [0, 2, 0], [0, root, half]]
     np.testing.assert_allclose(velocities, expected, atol=1e-15)
-    assert velocities[4, 0] == 0   # exactly
+    assert velocities[4, 0] == 0  # exactly
 
 
 def test_a_state_that_is_not_there():
@@ -380,9 +380,9 @@ def test_an_interrupted_map_goes_on_to_the_same_bytes(tmp_path, monkeypatch, sma
     journal = tmp_path / "map.zarr.partial" / "journal"
     assert journal.read_text().split() == [str(i) for i in range(8)]
     stray = tmp_path / "map.zarr.partial" / "map.zarr" / "margin" / "c.0123.partial"
-    stray.write_bytes(b"half")   # as zarr leaves it when it is killed
+    stray.write_bytes(b"half")  # as zarr leaves it when it is killed
     with open(journal, "a") as file:
-        file.write("1")   # of 10 or 11: a torn line
+        file.write("1")  # of 10 or 11: a torn line
         assert 0 < write_map(tmp_path / "map.zarr", FEET, POINTS, EVERY) < grid_of(POINTS).size
     assert tree(tmp_path / "map.zarr") == tree(tmp_path / "whole.zarr")
     assert sorted(os.listdir(tmp_path)) == ["map.zarr", "whole.zarr"]
@@ -463,6 +463,7 @@ def test_two_processes_do_not_write_one_map(tmp_path, monkeypatch, small):
 @pytest.fixture
 def no_computing(monkeypatch):
     """Whoever computes fails the test."""
+
     def fail(*_):
         raise AssertionError("something is computed")
 

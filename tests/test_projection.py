@@ -14,7 +14,7 @@ from jaxcap.contacts import cone_hull, lines, projection
 from jaxcap.contacts.friction import wrench_rays
 
 UP = np.eye(3)
-WIDE = rotation(np.pi / 2, 0, 0), rotation(-np.pi / 2, 0, 0)   # normals along -y, +y
+WIDE = rotation(np.pi / 2, 0, 0), rotation(-np.pi / 2, 0, 0)  # normals along -y, +y
 
 
 def foot(position, friction=0.5, frame=UP, half_length=0.1, half_width=0.07):
@@ -49,7 +49,9 @@ NAMED = {
     "coplanar feet 1 km away": (foot([1000, 1000.1, 0]) + foot([1000, 999.9, 0]), 4, 6, 16),
     "contacts 1 mm apart": (
         foot([0, 5e-4, 0], half_length=2e-4, half_width=2e-4) + foot([0, -5e-4, 0], half_length=2e-4, half_width=2e-4),
-        4, 6, 16,
+        4,
+        6,
+        16,
     ),
     "contacts 1 mm and 1 m apart": (FEET + points([0, 1.0, 0], [0, 1.001, 0]), 4, 6, None),
     "three sides": (FEET, 3, 6, None),
@@ -99,8 +101,11 @@ def test_faces_of_random_contacts(count):
 
 @settings(max_examples=60, deadline=None, derandomize=True)
 @given(
-    st.integers(0, 2**32 - 1), st.integers(2, 4), st.sampled_from([0, 1e-14, 1e-12, 1e-10, 1e-8, 1e-6, 1e-3]),
-    st.sampled_from([1e-3, 1, 1e3]), st.sampled_from([0.01, 0.5, 10.0]),
+    st.integers(0, 2**32 - 1),
+    st.integers(2, 4),
+    st.sampled_from([0, 1e-14, 1e-12, 1e-10, 1e-8, 1e-6, 1e-3]),
+    st.sampled_from([1e-3, 1, 1e3]),
+    st.sampled_from([0.01, 0.5, 10.0]),
 )
 def test_faces_of_nearly_degenerate_contacts(seed, count, tilt, distance, friction):
     """Feet that are coplanar up to a tilt, far or near: right faces, always."""
@@ -254,7 +259,7 @@ def test_a_missing_face_is_an_error(monkeypatch, missing):
         return np.delete(kept, missing), np.where(owner == missing, 0, owner - (owner > missing))
 
     monkeypatch.setattr(cone_hull, "_needed", fewer)
-    monkeypatch.setattr(projection, "QHULL_OPTIONS", ("Qt",))   # joggled points have more faces than are needed
+    monkeypatch.setattr(projection, "QHULL_OPTIONS", ("Qt",))  # joggled points have more faces than are needed
     with pytest.raises(projection.ProjectionError, match=r"is not closed: its faces make it .* larger \(at most 1e-06\)"):
         jaxcap.centroidal_cone(foot([0, 0, 0]))
 

@@ -65,4 +65,4 @@ def test_positions_that_single_precision_rounds_are_told():
     assert rounding(at(0.1)) == rounding(at(900)) == rounding(at(np.inf)) == rounding(np.zeros((0, 3), np.float32)) == ""
     assert rounding(at(5e5)) == "positions 5e+05 m from the origin are rounded to 0.031 m (--dtype float64 keeps them)"
     assert rounding(at(5e5).astype(np.float64)) == ""
-    assert rounding(np.concatenate([at(0.1), np.full((1, 3), 1e30, np.float32)])) == ""   # one row is no matter
+    assert rounding(np.concatenate([at(0.1), np.full((1, 3), 1e30, np.float32)])) == ""  # one row is no matter

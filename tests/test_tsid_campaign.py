@@ -194,7 +194,7 @@ def test_killed_at_random_moments_it_resumes_to_the_same_bytes(tmp_path):
 
 def test_ctrl_c_keeps_the_journal_and_says_how_to_resume(tmp_path):
     path = tmp_path / "c.parquet"
-    program = (   # a shell that runs the tests in the background has the signal ignored
+    program = (  # a shell that runs the tests in the background has the signal ignored
         "import signal, sys; from reference.tsid.campaign import main;"
         "signal.signal(signal.SIGINT, signal.default_int_handler); sys.exit(main(sys.argv[1:]))"
     )

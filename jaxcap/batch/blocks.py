@@ -51,7 +51,7 @@ def side_by_side(run: Callable[[Any], Any], items: Iterable, ahead: int = sys.ma
     x64, device = jax.config.jax_enable_x64, jax.config.jax_default_device  # type: ignore[attr-defined]
 
     def in_thread(item: Any) -> Any:
-        with jax.enable_x64(x64), jax.default_device(device):   # both settings belong to a thread
+        with jax.enable_x64(x64), jax.default_device(device):  # both settings belong to a thread
             return jax.block_until_ready(run(item))
 
     waiting: deque = deque()

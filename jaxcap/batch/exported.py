@@ -136,7 +136,7 @@ def _serialized(
     checked_gravity(gravity, finite=False)
     with needs_extra("export", "jaxcap.exported"):
         import flatbuffers  # noqa: F401
-    pull: Any = np.asarray(gravity, dtypes.answers)   # NumPy's: a constant of the program, whatever the x64 switch says here
+    pull: Any = np.asarray(gravity, dtypes.answers)  # NumPy's: a constant of the program, whatever the x64 switch says here
     block = ANY_BLOCK if isinstance(n, str) else min(n, BLOCK)
 
     def capturability(*arguments):

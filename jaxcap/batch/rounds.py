@@ -116,7 +116,7 @@ def _second_round(
         cut = lambda x: jax.lax.dynamic_slice_in_dim(x, start, lanes)
         states, survey = jax.tree.map(lambda x: jnp.moveaxis(cut(x), 0, -1), rows)
         found = answer(_motion(shared, states, survey, quick=False))
-        place = jnp.where(start + jnp.arange(lanes) < count, cut(order), n)   # beyond the last: dropped
+        place = jnp.where(start + jnp.arange(lanes) < count, cut(order), n)  # beyond the last: dropped
         return jax.tree.map(lambda x, y: x.at[place].set(jnp.moveaxis(y, -1, 0), mode="drop"), answers, found)
 
     return jax.lax.fori_loop(0, ceil_div(count, lanes), one_chunk, answers)
@@ -132,9 +132,7 @@ def _motion(shared: Shared, lanes: States, survey: Survey | None, quick: bool) -
     return motion_of_lanes(shared.cone_of(lanes), lanes.coms, lanes.com_velocities, shared.gravity, survey, quick)
 
 
-def unsettled(
-    skipped: Int8[Array, " n"], slope: Float[Array, " n"], lanes: int
-) -> tuple[Int[Array, " m"], Int[Array, ""]]:
+def unsettled(skipped: Int8[Array, " n"], slope: Float[Array, " n"], lanes: int) -> tuple[Int[Array, " m"], Int[Array, ""]]:
     """Indices of the rows where something was skipped, those alike together, padded to whole chunks; and how many they are.
 
     slope: where the quick look stopped [1/s^2]; the steeper a boundary still falls, the more pieces follow. All is sorted as
@@ -143,8 +141,8 @@ def unsettled(
     n = len(skipped)
     levels = 1 << max(27 - n.bit_length(), 0)
     level = (levels - 1) * (0.5 + 0.5 * slope / (1 + jnp.abs(slope)))
-    level = jnp.where(level >= 0, level, 0).astype(jnp.int32)   # NaN is not
-    kind = jnp.where(skipped == 0, 8, skipped).astype(jnp.int32)   # what is settled comes last
+    level = jnp.where(level >= 0, level, 0).astype(jnp.int32)  # NaN is not
+    kind = jnp.where(skipped == 0, 8, skipped).astype(jnp.int32)  # what is settled comes last
     order = jnp.sort((kind * levels + level) * n + jnp.arange(n, dtype=jnp.int32)) % n
     return jnp.pad(order, (0, -n % lanes)), jnp.sum(skipped != 0, dtype=jnp.int32)
 

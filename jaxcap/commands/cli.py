@@ -40,7 +40,7 @@ def _leave(code: int) -> None:
     then the process ends by a segmentation fault, not by this code. What had to be removed or closed is, by unwinding.
     """
     for stream in (sys.stdout, sys.stderr):
-        with suppress(OSError, ValueError):   # a closed pipe
+        with suppress(OSError, ValueError):  # a closed pipe
             stream.flush()
     os._exit(code)
 

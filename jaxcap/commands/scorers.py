@@ -83,9 +83,7 @@ class Scorer(ABC):
     def stand(self, contacts: Any, n: int, rows: slice) -> Stand:
         """The contacts of these rows of a batch of n, wherever they can be used."""
 
-    def score(
-        self, contacts: Any, coms: Float[np.ndarray, "n 3"], com_velocities: Float[np.ndarray, "n 3"]
-    ) -> Scored:
+    def score(self, contacts: Any, coms: Float[np.ndarray, "n 3"], com_velocities: Float[np.ndarray, "n 3"]) -> Scored:
         """Scores a batch.
 
         Args:
@@ -101,7 +99,10 @@ class Scorer(ABC):
         return Scored(_in_order(parts, outs), bad)
 
     def baselines(
-        self, contacts: Any, coms: Float[np.ndarray, "n 3"], com_velocities: Float[np.ndarray, "n 3"],
+        self,
+        contacts: Any,
+        coms: Float[np.ndarray, "n 3"],
+        com_velocities: Float[np.ndarray, "n 3"],
         height: float | None = None,
     ) -> Baselines:
         """`jaxcap.baselines` of a batch.
@@ -119,17 +120,13 @@ class Scorer(ABC):
         outs = [self._baselines(part, coms[part.rows], com_velocities[part.rows], height) for part in parts]
         return _in_order(parts, outs)
 
-    def _cut(
-        self, contacts: Any, coms: Float[np.ndarray, "n 3"]
-    ) -> tuple[list[Part], BadRows, Float[np.ndarray, "n 3"]]:
+    def _cut(self, contacts: Any, coms: Float[np.ndarray, "n 3"]) -> tuple[list[Part], BadRows, Float[np.ndarray, "n 3"]]:
         """The parts of a batch, its bad rows, and the CoMs, NaN in bad rows."""
         self._size = max(self._size, min(BLOCK, len(coms)))
         parts, bad = self._parts(contacts, len(coms))
         return parts, bad, np.where(bad.rows[:, None], coms.dtype.type(np.nan), coms)
 
-    def _score(
-        self, part: Part, coms: Float[np.ndarray, "k 3"], com_velocities: Float[np.ndarray, "k 3"]
-    ) -> Capturability:
+    def _score(self, part: Part, coms: Float[np.ndarray, "k 3"], com_velocities: Float[np.ndarray, "k 3"]) -> Capturability:
         own = isinstance(part.cone, ConeRays)
         cone = self._filled(part.cone) if own else part.cone
         states, velocities = self._filled(coms), self._filled(com_velocities)
@@ -209,8 +206,12 @@ class SharedSets(Scorer):
     """
 
     def __init__(
-        self, sets: Sequence[ContactSet], names: Sequence[str | None] | None = None, sides: int = 4,
-        gravity: ArrayLike = GRAVITY, neighbours: bool = False,
+        self,
+        sets: Sequence[ContactSet],
+        names: Sequence[str | None] | None = None,
+        sides: int = 4,
+        gravity: ArrayLike = GRAVITY,
+        neighbours: bool = False,
     ):
         super().__init__(sides, gravity, neighbours)
         self._sets = sets

@@ -20,7 +20,7 @@ def rounding(coms: Float[np.ndarray, "n 3"]) -> str:
     """
     far = np.abs(coms[:: max(1, len(coms) // ENOUGH)]).max(axis=1)
     far = far[np.isfinite(far)]
-    typical = np.median(far) if len(far) else far.dtype.type(0)   # a single row that is far off is no matter
+    typical = np.median(far) if len(far) else far.dtype.type(0)  # a single row that is far off is no matter
     step = np.spacing(typical)
     if coms.dtype != np.float32 or step <= COARSE:
         return ""

@@ -109,7 +109,7 @@ def distinct(rays: Float[np.ndarray, "n d"]) -> Float[np.ndarray, "k d"]:
         return rays
     repeated = np.zeros(len(rays), bool)
     sizes = np.diff(starts, append=len(rays))
-    for start, size in zip(starts[sizes > 1], sizes[sizes > 1], strict=True):   # equal, or only with equal keys
+    for start, size in zip(starts[sizes > 1], sizes[sizes > 1], strict=True):  # equal, or only with equal keys
         group = np.sort(order[start : start + size])
         close = np.linalg.norm(rays[group][:, None] - rays[group][None], axis=-1) < ROUNDING
         repeated[group] = np.tril(close, -1).any(axis=1)
@@ -143,7 +143,9 @@ def _is_closed(corners: Int[np.ndarray, "s c"], points: int) -> bool:
 
 
 def _refined(
-    hints: Float[np.ndarray, "m d"], corners: Int[np.ndarray, "s c"], owner: Int[np.ndarray, " s"],
+    hints: Float[np.ndarray, "m d"],
+    corners: Int[np.ndarray, "s c"],
+    owner: Int[np.ndarray, " s"],
     rays: Float[np.ndarray, "n d"],
 ) -> Float[np.ndarray, "m d"]:
     """The hints, moved onto the rays of their simplices by Newton's method; as they were where that makes them worse."""
@@ -192,8 +194,11 @@ def _behind(
 
 
 def _is_covered_once(
-    points: Float[np.ndarray, "n q"], corners: Int[np.ndarray, "s c"], behind: Float[np.ndarray, "m n"],
-    owner: Int[np.ndarray, " s"], volumes: Float[np.ndarray, " s"],
+    points: Float[np.ndarray, "n q"],
+    corners: Int[np.ndarray, "s c"],
+    behind: Float[np.ndarray, "m n"],
+    owner: Int[np.ndarray, " s"],
+    volumes: Float[np.ndarray, " s"],
 ) -> bool:
     """Whether a line from the middle, which is zero, crosses the simplices an odd number of times.
 
@@ -202,21 +207,24 @@ def _is_covered_once(
     faces are near where it leaves.
     """
     widest = corners[volumes.argmax()]
-    shares = 1 + np.abs(KEY[: corners.shape[1]])   # not its centre: others may have a side there
+    shares = 1 + np.abs(KEY[: corners.shape[1]])  # not its centre: others may have a side there
     shares /= shares.sum()
     crossing = shares @ points[widest]
     near = (behind[:, widest] @ shares < NEAR)[owner]
     if near.sum() == 1:
         return True
     matrices = np.swapaxes(points[corners[near]], 1, 2)
-    weights = np.linalg.pinv(matrices) @ crossing   # the simplices may be flat
+    weights = np.linalg.pinv(matrices) @ crossing  # the simplices may be flat
     met = np.linalg.norm((matrices @ weights[..., None])[..., 0] - crossing, axis=1) < NEAR * np.linalg.norm(crossing)
     return int((met & (weights > 0).all(axis=1)).sum()) % 2 == 1
 
 
 def _needed(
-    faces: Float[np.ndarray, "m d"], corners: Int[np.ndarray, "s c"], behind: Float[np.ndarray, "m n"],
-    owner: Int[np.ndarray, " s"], volumes: Float[np.ndarray, " s"],
+    faces: Float[np.ndarray, "m d"],
+    corners: Int[np.ndarray, "s c"],
+    behind: Float[np.ndarray, "m n"],
+    owner: Int[np.ndarray, " s"],
+    volumes: Float[np.ndarray, " s"],
 ) -> tuple[Int[np.ndarray, " k"], Int[np.ndarray, " s"]]:
     """Numbers of the faces without those that rounding has made of others, and which of these each simplex lies on."""
     instead = np.arange(len(faces))
@@ -237,7 +245,7 @@ def _needed(
         missed = touches[flat] @ off[proper].T
         found = missed.min(axis=1) == 0
         instead[flat[found]] = proper[missed.argmin(axis=1)[found]]
-    for _ in range(3):   # a face that stands in for another may have been replaced itself
+    for _ in range(3):  # a face that stands in for another may have been replaced itself
         instead = instead[instead]
     return np.unique(instead[owner], return_inverse=True)
 

@@ -36,15 +36,13 @@ class ContactSet:
     friction: Float[FloatArray, "*batch k"]
     mask: Bool[FloatArray, "*batch k"]
 
-    def __init__(
-        self, points: ArrayLike, frames: ArrayLike, friction: ArrayLike, mask: ArrayLike | None = None
-    ) -> None:
+    def __init__(self, points: ArrayLike, frames: ArrayLike, friction: ArrayLike, mask: ArrayLike | None = None) -> None:
         traced = any(isinstance(x, jax.core.Tracer) for x in (points, frames, friction, mask))
         self._set(*(_traced if traced else _checked)(points, frames, friction, mask))
 
     def _set(self, points: Any, frames: Any, friction: Any, mask: Any) -> None:
         for name, value in (("points", points), ("frames", frames), ("friction", friction), ("mask", mask)):
-            object.__setattr__(self, name, value)   # the class is frozen for everybody else
+            object.__setattr__(self, name, value)  # the class is frozen for everybody else
 
     @classmethod
     def unchecked(cls, points: Any, frames: Any, friction: Any, mask: Any) -> "ContactSet":

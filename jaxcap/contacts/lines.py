@@ -49,9 +49,7 @@ def split(
     return axes[:rank] @ basis, axes[rank:] @ basis
 
 
-def parts(
-    rays: Float[np.ndarray, "n d"], span: Float[np.ndarray, "s d"], opposite: float, zero: float
-) -> Parts:
+def parts(rays: Float[np.ndarray, "n d"], span: Float[np.ndarray, "s d"], opposite: float, zero: float) -> Parts:
     """The lines of a cone and its pointed rest.
 
     Args:
@@ -99,17 +97,20 @@ def distance_of_parts(rays: Float[np.ndarray, "n d"], found: Parts) -> float:
     rest = rays @ found.pointed.T
     sizes = np.linalg.norm(rest, axis=1)
     faint = (sizes > found.zero) & (sizes < FAINT)
-    targets = np.concatenate([
-        found.lines, -found.lines.sum(axis=0, keepdims=True) / np.sqrt(len(found.lines)),   # they span the lines' space
-        (rest[faint] / sizes[faint, None]) @ found.pointed,
-    ])
+    targets = np.concatenate(
+        [
+            found.lines,
+            -found.lines.sum(axis=0, keepdims=True) / np.sqrt(len(found.lines)),  # they span the lines' space
+            (rest[faint] / sizes[faint, None]) @ found.pointed,
+        ]
+    )
     return max(_distance(rays, target) for target in targets)
 
 
 def _distance(rays: Float[np.ndarray, "n d"], target: Float[np.ndarray, " d"]) -> float:
     try:
         weights, _ = nnls(rays.T, target)
-    except RuntimeError:   # too many iterations
+    except RuntimeError:  # too many iterations
         return float(np.inf)
     return float(np.linalg.norm(weights @ rays - target) + np.finfo(float).eps * weights.sum())
 
@@ -129,7 +130,7 @@ def _fitted(
     if len(pointed) == len(span):
         return span[:0], pointed
     rank = len(span) - len(pointed)
-    if len(pointed) and sizes[rank] > CLEAR * sizes[rank - 1]:   # the rays near it are not of one such space
+    if len(pointed) and sizes[rank] > CLEAR * sizes[rank - 1]:  # the rays near it are not of one such space
         _, lines = split(pointed, span, 0.5)
         return lines, pointed
     return axes[:rank] @ span, axes[rank:] @ span

@@ -84,9 +84,7 @@ def _attempts(rays: Float[np.ndarray, "n d"]) -> Iterator[CheckedFaces | Project
                 yield error
 
 
-def _faces(
-    rays: Float[np.ndarray, "n d"], span: Float[np.ndarray, "s d"], attempt: Attempt, options: str
-) -> CheckedFaces:
+def _faces(rays: Float[np.ndarray, "n d"], span: Float[np.ndarray, "s d"], attempt: Attempt, options: str) -> CheckedFaces:
     """Faces of the cone in its span."""
     found = parts(rays, span, *attempt)
     distance = distance_of_parts(rays, found)

@@ -75,9 +75,10 @@ def _padded(column: pa.Array, name: str, bad: BadRows) -> Padded:
     values, wrong = _filled(entries, INNER[name] if nested else ())
     rows = np.repeat(np.arange(len(column)), lengths)
     uneven = np.bincount(rows[wrong], minlength=len(column)) > 0
-    bad.add(uneven, lambda row: (
-        f"{name}[{np.argmax(wrong[rows == row])}] does not hold {' x '.join(map(str, INNER[name]))} numbers"
-    ))
+    bad.add(
+        uneven,
+        lambda row: f"{name}[{np.argmax(wrong[rows == row])}] does not hold {' x '.join(map(str, INNER[name]))} numbers",
+    )
     lengths_used = np.where(long, 0, lengths)
     width = -(-int(lengths_used.max(initial=0)) // size) * size
     values = _scattered(values, lengths, width)

@@ -69,9 +69,7 @@ class ArrowStates(StateFile):
                 com, com_velocity = (self._vector(columns, names, bad) for names in self._vectors.values())
                 yield StateBatch(com, com_velocity, columns, bad, self._row_contacts(columns))
 
-    def _vector(
-        self, columns: Mapping[str, pa.Array], names: tuple[str, ...], bad: BadRows
-    ) -> Float[np.ndarray, "n 3"]:
+    def _vector(self, columns: Mapping[str, pa.Array], names: tuple[str, ...], bad: BadRows) -> Float[np.ndarray, "n 3"]:
         if len(names) == 1:
             found = vectors(columns[names[0]], self.dtype, bad, names[0])
         else:
@@ -115,6 +113,6 @@ def readable(path: Path, kind: str) -> Iterator[None]:
         yield
     except (InputError, MemoryError):
         raise
-    except Exception as error:   # besides Arrow's own errors, what Python makes of the bytes: names that are not UTF-8
+    except Exception as error:  # besides Arrow's own errors, what Python makes of the bytes: names that are not UTF-8
         reason = (str(error).splitlines() or [type(error).__name__])[0]
         raise InputError(f"{path}: cannot be read as {kind}: {reason}") from error

@@ -41,8 +41,12 @@ METADATA = "metadata"
 
 
 def describe(
-    contacts: ContactSet | ContactSets | tuple[str, ...], gravity: Iterable[float], sides: int, dtype: DTypeLike,
-    fields: Mapping[str, Field] = FIELDS, **more: Any,
+    contacts: ContactSet | ContactSets | tuple[str, ...],
+    gravity: Iterable[float],
+    sides: int,
+    dtype: DTypeLike,
+    fields: Mapping[str, Field] = FIELDS,
+    **more: Any,
 ) -> dict[str, Any]:
     """What the output file says about itself: conventions, units, names of codes, what it was computed from.
 

@@ -210,8 +210,11 @@ def _sized(values: np.ndarray, k: int) -> np.ndarray:
 
 
 def _check_values(
-    points: Float[np.ndarray, "n k 3"], frames: Float[np.ndarray, "n k 3 3"], friction: Float[np.ndarray, "n k"],
-    mask: Bool[np.ndarray, "n k"], bad: BadRows,
+    points: Float[np.ndarray, "n k 3"],
+    frames: Float[np.ndarray, "n k 3 3"],
+    friction: Float[np.ndarray, "n k"],
+    mask: Bool[np.ndarray, "n k"],
+    bad: BadRows,
 ) -> None:
     """Adds the rows in which a contact that is not masked cannot be used.
 
@@ -223,18 +226,23 @@ def _check_values(
         wrong = wrong & mask
         bad.add(wrong.any(axis=1), lambda row: why(row, int(np.argmax(wrong[row]))))
 
-    add(~np.isfinite(points).all(axis=-1), lambda row, i: (
-        f"{POINTS}[{i}] = {points[row, i].tolist()} (expected finite numbers)"
-    ))
+    add(
+        ~np.isfinite(points).all(axis=-1),
+        lambda row, i: f"{POINTS}[{i}] = {points[row, i].tolist()} (expected finite numbers)",
+    )
     error, determinant = np.zeros(mask.shape), np.ones(mask.shape)
     error[mask], determinant[mask] = _rotation_error(frames[mask])
-    add(np.logical_not((error <= ROTATION_ERROR) & (determinant > 0)), lambda row, i: (
-        f"{FRAMES}[{i}] is not a rotation: det = {determinant[row, i]:.3f} (expected +1), "
-        f"columns orthonormal to {error[row, i]:.1e} (expected {ROTATION_ERROR:.0e})"
-    ))
-    add(np.logical_not(np.isfinite(friction) & (friction > 0)), lambda row, i: (
-        f"{FRICTION}[{i}] = {friction[row, i]} (expected a positive finite number)"
-    ))
+    add(
+        np.logical_not((error <= ROTATION_ERROR) & (determinant > 0)),
+        lambda row, i: (
+            f"{FRAMES}[{i}] is not a rotation: det = {determinant[row, i]:.3f} (expected +1), "
+            f"columns orthonormal to {error[row, i]:.1e} (expected {ROTATION_ERROR:.0e})"
+        ),
+    )
+    add(
+        np.logical_not(np.isfinite(friction) & (friction > 0)),
+        lambda row, i: f"{FRICTION}[{i}] = {friction[row, i]} (expected a positive finite number)",
+    )
 
 
 def _rotation_error(frames: Float[np.ndarray, "m 3 3"]) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, " m"]]:

@@ -64,7 +64,8 @@ class NpzStates(StateFile):
         with _readable(self.path):
             members = {
                 name.removesuffix(".npy"): _header(self._file, name)
-                for name in self._file.namelist() if name.endswith(".npy")
+                for name in self._file.namelist()
+                if name.endswith(".npy")
             }
         for member in members.values():
             if member.dtype.hasobject:
@@ -259,7 +260,7 @@ def _readable(path: Path) -> Iterator[None]:
         yield
     except (InputError, MemoryError):
         raise
-    except Exception as error:   # NumPy's and zipfile's parsers raise whatever their tools do: tokenize, struct, zlib, ast
+    except Exception as error:  # NumPy's and zipfile's parsers raise whatever their tools do: tokenize, struct, zlib, ast
         reason = error.strerror if isinstance(error, OSError) and error.strerror else error
         raise InputError(f"{path}: cannot be read as NPZ: {str(reason) or type(error).__name__}") from error
 

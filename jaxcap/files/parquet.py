@@ -29,9 +29,7 @@ class ParquetStates(ArrowStates):
     def _opened(self) -> pq.ParquetFile:
         with readable(self.path, self.format):
             # without pre_buffer=False the bytes of every row group are kept until the end
-            return pq.ParquetFile(
-                self.path, pre_buffer=False, buffer_size=READ_AHEAD, page_checksum_verification=True
-            )
+            return pq.ParquetFile(self.path, pre_buffer=False, buffer_size=READ_AHEAD, page_checksum_verification=True)
 
     def _header(self) -> tuple[pa.Schema, int]:
         return self._file.schema_arrow, self._file.metadata.num_rows
@@ -63,7 +61,7 @@ class ParquetWriter:
         self._metadata, self._about = metadata, about
         self._schema = pa.schema(fields)
         self._waiting: list[pa.Table] = []
-        self._writer = pq.ParquetWriter(handle, self._schema, store_schema=False)   # `finish` stores it
+        self._writer = pq.ParquetWriter(handle, self._schema, store_schema=False)  # `finish` stores it
 
     def write(self, columns: Mapping[str, Any]) -> None:
         """Appends rows. columns: one array for each of `types`, all with the same number of rows."""

@@ -41,7 +41,7 @@ class Stand(NamedTuple):
         arms = np.where(self.mask[..., None], coms[:, None].astype(float) - self.points, np.nan)
         with np.errstate(invalid="ignore", over="ignore"):
             far = (np.linalg.norm(arms, axis=-1) > FAR) | ~self.mask
-            apart = np.linalg.norm(arms[:, :, None] - arms[:, None], axis=-1)   # NaN, which is not wide, for padding
+            apart = np.linalg.norm(arms[:, :, None] - arms[:, None], axis=-1)  # NaN, which is not wide, for padding
             away = (np.einsum("mki,mki->mk", arms, self.normals) < 0) | ~self.mask
             below = (arms[..., 2] < 0) | ~self.mask
         return np.stack([far.all(axis=1), (apart > WIDE).any(axis=(1, 2)), away.all(axis=1), below.all(axis=1)])

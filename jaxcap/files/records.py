@@ -88,8 +88,14 @@ class ScoreWriter:
 
 @contextmanager
 def write_scores(
-    path: str | Path, types: Mapping[str, Any], metadata: Mapping[str, Any], dtype: DTypeLike = np.float32, *,
-    fields: Iterable[str] = tuple(FIELDS), about: Mapping[bytes, bytes] = MappingProxyType({}), force: bool = False,
+    path: str | Path,
+    types: Mapping[str, Any],
+    metadata: Mapping[str, Any],
+    dtype: DTypeLike = np.float32,
+    *,
+    fields: Iterable[str] = tuple(FIELDS),
+    about: Mapping[bytes, bytes] = MappingProxyType({}),
+    force: bool = False,
 ) -> Iterator[ScoreWriter]:
     """Writes a Parquet or NPZ file of scores, in a `with` block. The file appears when the block ends without an error.
 
@@ -122,7 +128,11 @@ def write_scores(
 
 
 def _writer(
-    extension: str, handle: BinaryIO, directory: Path, types: Mapping[str, Any], metadata: Mapping[str, Any],
+    extension: str,
+    handle: BinaryIO,
+    directory: Path,
+    types: Mapping[str, Any],
+    metadata: Mapping[str, Any],
     about: Mapping[bytes, bytes],
 ) -> "ParquetWriter | NpzWriter":
     if extension == ".npz":

@@ -99,7 +99,11 @@ class Answers:
     """
 
     def __init__(
-        self, cones: Sequence[CentroidalCone | ConeRays], grid: Grid, quantities: tuple[str, ...], gravity: ArrayLike,
+        self,
+        cones: Sequence[CentroidalCone | ConeRays],
+        grid: Grid,
+        quantities: tuple[str, ...],
+        gravity: ArrayLike,
         dtype: DTypeLike,
     ):
         self.grid, self.quantities, self.regions = grid, quantities, regions(grid)
@@ -142,7 +146,7 @@ class Answers:
         starts = lambda region: range(0, math.prod(region.shape(self._dims)), self._size * self._shares)
         items, blocks = chain.from_iterable(((region, start) for start in starts(region)) for region in chosen), []
         if numbers:
-            jax.block_until_ready(self._answered(self.regions.region(0), 0))   # compiles, once for all threads
+            jax.block_until_ready(self._answered(self.regions.region(0), 0))  # compiles, once for all threads
         for region, block in side_by_side(lambda item: (item[0], self._answered(*item)), items, ahead=AHEAD):
             blocks.append(block)
             if len(blocks) == len(starts(region)):
@@ -174,7 +178,7 @@ class Answers:
         if "speed" in dims:
             at_speeds = values[:, : region.shape(["speed"])[0]].reshape(*shape, -1)
             return np.ascontiguousarray(np.moveaxis(at_speeds, -1, dims.index("speed")))
-        return values.reshape(shape)   # drops the axis of a single speed
+        return values.reshape(shape)  # drops the axis of a single speed
 
 
 def _about_contacts(cone: CentroidalCone | ConeRays, tables: dict[str, np.ndarray], dtype: DTypeLike) -> tuple:

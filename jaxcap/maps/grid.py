@@ -100,7 +100,7 @@ class Grid:
     def tables(self, dtype: DTypeLike) -> dict[str, Float[np.ndarray, "..."]]:
         """What states are looked up in: values, (n,), and for angles cosine and sine, (2, n)."""
         table = lambda name: _table(name, np.atleast_1d(self.axes[name])).astype(dtype)
-        with np.errstate(over="ignore"):   # beyond the largest number there is infinity, and the states are marked
+        with np.errstate(over="ignore"):  # beyond the largest number there is infinity, and the states are marked
             return {name: table(name) for name in self.axes if name not in CONTACTS}
 
     def states(
@@ -200,7 +200,7 @@ def _table(name: str, values: Float[np.ndarray, " n"]) -> Float[np.ndarray, "...
     if AXES[name].unit != "rad":
         return values
     turned = np.stack([np.cos(values), np.sin(values)])
-    return np.where(np.abs(turned) < 1e-15, 0, turned)   # rounding of pi: a heading of 90 degrees is along y exactly
+    return np.where(np.abs(turned) < 1e-15, 0, turned)  # rounding of pi: a heading of 90 degrees is along y exactly
 
 
 def _values(name: str, given: Any) -> Float[np.ndarray, "..."]:
@@ -249,7 +249,5 @@ def _from_text(name: str, text: str) -> Float[np.ndarray, "..."]:
     if not 2 <= n <= LONGEST:
         raise InputError(f"axis {name}: {text!r} has {n} values (expected 2 to {LONGEST})")
     if name in ("heading", "downhill") and abs(abs(last - first) - 2 * math.pi) < FULL_CIRCLE:
-        return first + math.copysign(2 * math.pi, last - first) * np.arange(n) / n   # its end is its beginning
+        return first + math.copysign(2 * math.pi, last - first) * np.arange(n) / n  # its end is its beginning
     return np.linspace(first, last, n)
-
-

@@ -296,7 +296,7 @@ def _in_memory(answers: Answers, about: _About, progress: bool) -> xr.Dataset:
 
 
 def _bar(unit: str, total: int, done: int, progress: bool) -> tqdm:
-    hidden = None if progress else True   # None: where stderr is no terminal
+    hidden = None if progress else True  # None: where stderr is no terminal
     return tqdm(total=total, initial=done, unit=f" {unit}", unit_scale=True, disable=hidden)
 
 

@@ -100,7 +100,7 @@ def recorded(path: Path) -> set[int]:
     partial = partial_path(path)
     if not (partial / MAP).exists() or not (partial / JOURNAL).exists():
         return set()
-    whole, _, _ = (partial / JOURNAL).read_bytes().rpartition(b"\n")   # a line without an end is not to be trusted
+    whole, _, _ = (partial / JOURNAL).read_bytes().rpartition(b"\n")  # a line without an end is not to be trusted
     return set(map(int, whole.split()))
 
 
@@ -128,7 +128,7 @@ def _claimed(partial: Path, settings: Mapping[str, Any]) -> Iterator[None]:
             f"{partial}: an unfinished map with other {other} (finish it with the same settings, or remove the directory)"
         )
     with open(partial / SETTINGS, "rb") as handle:
-        with suppress(ImportError):   # where the system has no such locks, the user has to take care
+        with suppress(ImportError):  # where the system has no such locks, the user has to take care
             import fcntl
 
             try:
@@ -147,7 +147,7 @@ def _journal(partial: Path, coordinates: xr.Dataset, variables: Mapping[str, Var
     if not journal.exists():
         _make(partial / MAP, coordinates, variables)
         journal.touch()
-    for stray in (partial / MAP).rglob("*.partial"):   # of chunks, by a run that was killed
+    for stray in (partial / MAP).rglob("*.partial"):  # of chunks, by a run that was killed
         stray.unlink()
     with open(journal, "r+b") as handle:
         handle.truncate(handle.read().rfind(b"\n") + 1)
@@ -168,13 +168,15 @@ def _make(path: Path, coordinates: xr.Dataset, variables: Mapping[str, Variable]
             chunks=variable.chunks,
             dtype=kind,
             dimension_names=variable.dims,
-            attributes={key: value.tolist() if isinstance(value, np.ndarray) else value
-                        for key, value in {**variable.attributes, **_of_booleans(variable.dtype)}.items()},
+            attributes={
+                key: value.tolist() if isinstance(value, np.ndarray) else value
+                for key, value in {**variable.attributes, **_of_booleans(variable.dtype)}.items()
+            },
             fill_value=np.nan if kind.kind == "f" else ABSENT,
             compressors=BloscCodec(cname="zstd", clevel=1, shuffle="bitshuffle", typesize=kind.itemsize),
             config={"write_empty_chunks": False},
         )
-    with warnings.catch_warnings():   # format 3 has no word for it yet; xarray warns of its absence
+    with warnings.catch_warnings():  # format 3 has no word for it yet; xarray warns of its absence
         warnings.filterwarnings("ignore", message="Consolidated metadata")
         zarr.consolidate_metadata(path)
 
@@ -193,7 +195,7 @@ def _publish(source: Path, path: Path, force: bool) -> None:
     """Gives the map its name, in place of an old one if need be."""
     refuse_late_comer(path, force)
     old = temporary_beside(path)
-    if path.exists():   # a directory, unlike a file, cannot be renamed over another
+    if path.exists():  # a directory, unlike a file, cannot be renamed over another
         os.rename(path, old)
     os.rename(source, path)
     shutil.rmtree(old, ignore_errors=True)

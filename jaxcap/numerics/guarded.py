@@ -59,7 +59,7 @@ def direction(velocity: Float[Array, "3 *n"]) -> tuple[Float[Array, "3 *n"], Flo
     The velocity is scaled first, such that its square neither overflows nor vanishes.
     """
     size = jnp.max(jnp.abs(velocity), axis=0)
-    scale = jax.lax.stop_gradient(jnp.where(size > 0, size, 1))   # it cancels, so it has no gradient
+    scale = jax.lax.stop_gradient(jnp.where(size > 0, size, 1))  # it cancels, so it has no gradient
     scaled = velocity / scale
     norm = root(jnp.sum(scaled * scaled, axis=0))
     return ratio(scaled, norm), norm * scale

@@ -51,5 +51,3 @@ def capturability_of_lanes(
 ) -> Capturability:
     """`capturability` of states side by side, lanes last."""
     return capturability_at(motion_of_lanes(cone, com, com_velocity, gravity))
-
-

@@ -23,6 +23,7 @@ LIMITS = ("min_speed", "max_speed")
 WALKED = ("status", "paper_margin", "distance", "time", "residual_speed")
 """Fields for which the motion itself is followed; the others are comparisons of the speed with a few numbers."""
 
+
 class Speeds(NamedTuple):
     """Where case and verdict change with the speed along a line [m/s]; infinite where they do not."""
 

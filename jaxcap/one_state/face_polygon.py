@@ -78,7 +78,7 @@ class Polygon(NamedTuple):
             pulled_back=highest < 0,
             known=jnp.ones(s_min.shape, bool),
             hangs=(s_above <= s_max) & (s_max < jnp.inf),
-            start=(lowest, s_other),   # without a lowest, no other rows are left but walls
+            start=(lowest, s_other),  # without a lowest, no other rows are left but walls
         )
 
     def boundary(
@@ -100,7 +100,7 @@ def polygon(
     com: [m]. along: unit vectors (zero: every row bounds nothing, or forbids everything). gravity: [m/s^2].
     """
     bounds = tolerances(com.dtype)
-    faces = jnp.asarray(cone.padded(1).faces, com.dtype)   # a cone that is all of space has no face
+    faces = jnp.asarray(cone.padded(1).faces, com.dtype)  # a cone that is all of space has no face
     line = wrench_line(cone.origin, cone.length, com, along, gravity)
     wrenches = jnp.stack([line.per_acceleration, line.per_alpha, line.at_rest], axis=1)
     rows = jnp.tensordot(faces, wrenches, axes=1, precision=jax.lax.Precision.HIGHEST)
@@ -126,9 +126,7 @@ def _stored(rows: Polygon) -> Polygon:
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(3, 4))
-def _boundary(
-    rows: Polygon, limit: Float[Array, "*n"], enough: Array | None, rising: bool, most: int | None
-) -> Boundary:
+def _boundary(rows: Polygon, limit: Float[Array, "*n"], enough: Array | None, rising: bool, most: int | None) -> Boundary:
     lower = rows.on_acceleration < 0
     # Rows that do not bound the acceleration from below get an infinite slope: a walk that meets them is at its end.
     slopes = jnp.where(lower, -ratio(rows.on_alpha, rows.on_acceleration), jnp.inf)
@@ -160,7 +158,7 @@ def _follow(rows: Polygon, slopes: Array, alpha: Array, line: Affine) -> Next:
     """The row that ends a line, and the line of that row. A pivot of the dual simplex."""
     at = jax.lax.optimization_barrier(_crossings(rows, *line))
     end = jnp.maximum(alpha, jnp.min(at, axis=0))
-    slope = jnp.max(jnp.where(at <= end, slopes, -jnp.inf), axis=0)   # of several rows, the steepest
+    slope = jnp.max(jnp.where(at <= end, slopes, -jnp.inf), axis=0)  # of several rows, the steepest
     return Next(end, slope == jnp.inf, Affine(line.intercept + (line.slope - slope) * end, slope), ())
 
 

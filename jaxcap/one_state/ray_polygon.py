@@ -148,7 +148,7 @@ def ray_polygon(
     line = wrench_line(rays.origin, rays.length, com, along, gravity)
     scaled = lambda wrench: jnp.concatenate([wrench[:3], wrench[3:] / line.length])
     columns = jnp.swapaxes(jnp.asarray(rays.rays, com.dtype), 0, 1)
-    columns = columns.reshape(*columns.shape, *[1] * (com.ndim + 1 - columns.ndim))   # one set for all lanes
+    columns = columns.reshape(*columns.shape, *[1] * (com.ndim + 1 - columns.ndim))  # one set for all lanes
     columns = jax.lax.optimization_barrier(scaled(columns))
     scale, steepest = line.weight * line.remoteness, line.weight / line.length
     return RayPolygon(

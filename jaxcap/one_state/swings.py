@@ -83,10 +83,10 @@ def swing(
     alpha = ride.alpha
 
     def once(state: Swing) -> Swing:
-        limit, none = jnp.where(state.swinging, jnp.inf, 0), jnp.zeros_like(alpha)   # no further than to the stop
+        limit, none = jnp.where(state.swinging, jnp.inf, 0), jnp.zeros_like(alpha)  # no further than to the stop
         lower = polygon.seen_from(state.alpha, state.heading).boundary(limit, enough=none)
         at_end = lower.gain(lower.end)
-        unknown = lower.ending == End.MAX_PIECES   # it then swings on to the bound, and has no time
+        unknown = lower.ending == End.MAX_PIECES  # it then swings on to the bound, and has no time
         lost = state.swinging & (at_end > 0) & (lower.ending != End.NEVER)
         back = lower.ride(none)
         travelled = jnp.where(state.swinging & ~lost, back.alpha, 0)

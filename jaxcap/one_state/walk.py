@@ -162,5 +162,5 @@ def moved(found: Boundary, lines: Affine, wall: Float[Array, "*n"]) -> Boundary:
     at_zero = jnp.where(pick(final, pieces.left) < end, -ratio(rise, slope), at_knot)
     ends = jnp.where(found.ending == End.DIVERGES, at_zero, jnp.where(found.ending == End.POLYGON, wall, 0))
     zero = jnp.zeros_like(pieces.left)
-    of_integers: Any = lambda x: np.zeros(x.shape, jax.dtypes.float0)   # the tangent that JAX wants for them
+    of_integers: Any = lambda x: np.zeros(x.shape, jax.dtypes.float0)  # the tangent that JAX wants for them
     return Boundary(Pieces(zero, zero, *lines), of_integers(found.used), ends, of_integers(found.ending))

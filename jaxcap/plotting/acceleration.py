@@ -72,8 +72,9 @@ def static_region(ax: Axes, line: Travel) -> None:
     for end, name in zip(line.static, (r"$s_\mathrm{min}$", r"$s_\mathrm{max}$"), strict=True):
         if np.isfinite(end):
             ax.axvline(end, color=GREY, linewidth=0.9, linestyle=":", zorder=1)
-            ax.annotate(name, (end, 0), (0, 5), textcoords="offset points", ha="center", va="bottom",
-                        path_effects=halo(), zorder=6)
+            ax.annotate(
+                name, (end, 0), (0, 5), textcoords="offset points", ha="center", va="bottom", path_effects=halo(), zorder=6
+            )
 
 
 def endpoint(ax: Axes, line: Travel, alpha: float, height: float, before: float) -> None:

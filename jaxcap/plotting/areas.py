@@ -116,7 +116,12 @@ def velocity_areas(
 
 
 def _draw(
-    ax: Axes, area: VelocityArea, centre: Float[np.ndarray, "2"], scale: float, longest: float, color: ColorType,
+    ax: Axes,
+    area: VelocityArea,
+    centre: Float[np.ndarray, "2"],
+    scale: float,
+    longest: float,
+    color: ColorType,
     label: str | None,
 ) -> None:
     """One area around its centre [m]; scale: of its speeds."""

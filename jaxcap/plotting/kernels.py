@@ -36,6 +36,8 @@ TO_SCALE = ("m", "m/s")
 """Where both axes are of one of these units, the picture is to scale."""
 HATCHES = {"undecided": "xx", "at rest": "\\\\"}
 """Where a field is no number, by the reason; dots for any other."""
+
+
 def _named(case: Case, colour: str) -> tuple[str, str]:
     return f"{case.name}: {CASES[case]}", colour
 
@@ -117,9 +119,7 @@ def kernel_slice(
     return ax
 
 
-def at_selection(
-    dataset: "xr.Dataset", quantity: str, kept: tuple[str, ...], selection: dict[str, float]
-) -> "xr.Dataset":
+def at_selection(dataset: "xr.Dataset", quantity: str, kept: tuple[str, ...], selection: dict[str, float]) -> "xr.Dataset":
     """The part of a map with these axes only: the others at the grid points nearest to their values.
 
     Raises ValueError, naming the axis or field, for what the dataset does not hold, an axis that is left over, or a value
@@ -246,9 +246,7 @@ def _shifted(values: Float[np.ndarray, "n m"], step: int, axis: int) -> Float[np
     return out
 
 
-def _levels(
-    finite: Float[np.ndarray, " k"], levels: int | Sequence[float] | None
-) -> tuple[Float[np.ndarray, " l"], Beyond]:
+def _levels(finite: Float[np.ndarray, " k"], levels: int | Sequence[float] | None) -> tuple[Float[np.ndarray, " l"], Beyond]:
     """Levels of the contours that surround the figures, and on which side figures lie beyond."""
     if levels is not None and not isinstance(levels, int):
         edges = np.asarray(levels, float)
@@ -264,7 +262,10 @@ def _levels(
 
 
 def _draw_codes(
-    ax: Axes, across: Float[np.ndarray, " m"], along: Float[np.ndarray, " n"], values: Shaped[np.ndarray, "n m"],
+    ax: Axes,
+    across: Float[np.ndarray, " m"],
+    along: Float[np.ndarray, " n"],
+    values: Shaped[np.ndarray, "n m"],
     quantity: str,
 ) -> None:
     """Areas of one colour for each code, with a legend of those that occur."""

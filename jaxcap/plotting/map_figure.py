@@ -107,9 +107,7 @@ def _free_axes(
     return str(x), str(y)
 
 
-def _choice(
-    dataset: "xr.Dataset", quantity: str, kept: tuple[str, ...], selection: dict[str, float]
-) -> dict[str, float]:
+def _choice(dataset: "xr.Dataset", quantity: str, kept: tuple[str, ...], selection: dict[str, float]) -> dict[str, float]:
     """Values for the axes that are left over. Raises ValueError for what cannot be drawn."""
     dims = map(str, dataset[quantity].dims) if quantity in dataset.data_vars else ()
     left_over = {name: np.asarray(dataset[name], float) for name in dims if name not in (*kept, *selection)}

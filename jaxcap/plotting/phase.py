@@ -48,14 +48,32 @@ def phase_portrait(
     top = _top(line, bands)
     for sign, (smallest, largest) in zip((1, -1), bands, strict=True):
         some = largest > 0
-        ax.fill_between(alpha, sign * smallest, sign * np.minimum(largest, top), where=some, facecolor=PALE, zorder=2,
-                        linewidth=0, label="capturable" if sign > 0 else None)
+        ax.fill_between(
+            alpha,
+            sign * smallest,
+            sign * np.minimum(largest, top),
+            where=some,
+            facecolor=PALE,
+            zorder=2,
+            linewidth=0,
+            label="capturable" if sign > 0 else None,
+        )
         for edge in (smallest, largest):
             ax.plot(alpha, np.where(some & np.isfinite(edge), sign * edge, np.nan), color=BLUE, linewidth=1.5, zorder=3)
         endless = largest == np.inf
         if endless.any():
-            ax.fill_between(alpha, sign * smallest, sign * top, where=endless, facecolor="none", edgecolor=BLUE, hatch="//",
-                            linewidth=0, zorder=2, label="at any speed" if sign > 0 else None)
+            ax.fill_between(
+                alpha,
+                sign * smallest,
+                sign * top,
+                where=endless,
+                facecolor="none",
+                edgecolor=BLUE,
+                hatch="//",
+                linewidth=0,
+                zorder=2,
+                label="at any speed" if sign > 0 else None,
+            )
     ax.axhline(0, color=DARK, linewidth=0.8, zorder=1)
     static_region(ax, line)
     if line.walk is not None:

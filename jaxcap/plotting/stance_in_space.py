@@ -135,7 +135,7 @@ def _window(ax: Axes3D, shown: Float[np.ndarray, "n 3"], size: float, zoom: floa
         axis.set_ticks(ticks[np.abs(ticks - centre) < (1 if name == "z" else 1 - CORNER) * length])
         axis.labelpad = LABELS
     ax.set_aspect("equal")
-    ax.set_box_aspect(half, zoom=zoom)   # the same shape, smaller
+    ax.set_box_aspect(half, zoom=zoom)  # the same shape, smaller
 
 
 def _pyramids(contacts: ContactSet, sides: int, height: float) -> list[Float[np.ndarray, "3 3"]]:

@@ -15,6 +15,8 @@ DEGREES = "deg"
 """Angles of a map are in radians, those of a picture in degrees."""
 WIDEST = 56
 """Longest line of a title, in letters."""
+
+
 def place_of(plane: "xr.Dataset") -> str:
     """Where the plane lies: the axes of the map that are not in the picture, in the order of `AXES` (a file has none)."""
     scalars = [plane.coords[name] for name in AXES if name in plane.coords and plane.coords[name].ndim == 0]

@@ -30,7 +30,9 @@ class Baselines(NamedTuple):
 
 
 def capture_point(
-    com: Num[FloatArray, "*#n 3"], com_velocity: Num[FloatArray, "*#n 3"], height: Num[FloatArray, "*#n"] | float | int,
+    com: Num[FloatArray, "*#n 3"],
+    com_velocity: Num[FloatArray, "*#n 3"],
+    height: Num[FloatArray, "*#n"] | float | int,
     gravity: ArrayLike = GRAVITY,
 ) -> Float[Array, "*n 2"]:
     """Point on the ground where the linear inverted pendulum would have to step to come to rest, (14).
@@ -57,7 +59,7 @@ def capture_point(
     pull, height = jnp.asarray(checked_gravity(gravity), dtype), jnp.asarray(height, dtype)
     square = height / jnp.sqrt(jnp.sum(pull * pull))
     # The root of what is not positive has no gradient, not even where it is not chosen: it is taken of 1.
-    time = jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1)), jnp.nan)   # 1 / omega [s]
+    time = jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1)), jnp.nan)  # 1 / omega [s]
     return _projected(com.astype(dtype), pull) + _projected(com_velocity.astype(dtype), pull) * time[..., None]
 
 
@@ -110,7 +112,7 @@ def baselines(
         TypeError, ValueError: for gravity that is not three finite numbers.
     """
     if isinstance(coms, np.ndarray) and isinstance(contacts.points, np.ndarray) and isinstance(cone.origin, np.ndarray):
-        (cone, coms), (contacts, _) = relative(cone, coms), centred(contacts)   # before anything is rounded
+        (cone, coms), (contacts, _) = relative(cone, coms), centred(contacts)  # before anything is rounded
     coms, com_velocities = jnp.asarray(coms), jnp.asarray(com_velocities)
     if height is None:
         height = height_above_contacts(cone, coms, gravity)

@@ -120,7 +120,7 @@ def _sides(
     """
     length = float(cone.length)
     up = -gravity / np.linalg.norm(gravity)
-    turn = np.cross(np.eye(3), up).T   # the torque of a robot at rest on its CoM's arm
+    turn = np.cross(np.eye(3), up).T  # the torque of a robot at rest on its CoM's arm
     arm: list[tuple[float | None, float | None]] = [(None, None)] * 3
     if isinstance(cone, CentroidalCone):
         faces = np.asarray(cone.faces, float)
@@ -142,7 +142,10 @@ def _sides(
 
 
 def _rest(
-    cone: CentroidalCone | ConeRays, starts: Float[np.ndarray, "lines 3"], along: Float[np.ndarray, "3"], reach: float,
+    cone: CentroidalCone | ConeRays,
+    starts: Float[np.ndarray, "lines 3"],
+    along: Float[np.ndarray, "3"],
+    reach: float,
     gravity: ArrayLike,
 ) -> tuple[Float[np.ndarray, " lines"], Float[np.ndarray, " lines"]]:
     """Places of rest on each line, from and to (lines,) [m]; NaN where there are none within reach."""

@@ -117,7 +117,11 @@ class Around(NamedTuple):
 
 
 def walk_around(
-    follow: Follow, vertex: Float[Array, "2 *n"], memory: Any, points: Float[Array, "2 m *n"], active: Bool[Array, "*n"],
+    follow: Follow,
+    vertex: Float[Array, "2 *n"],
+    memory: Any,
+    points: Float[Array, "2 m *n"],
+    active: Bool[Array, "*n"],
     most: int,
 ) -> tuple[Nearest, Bool[Array, "*n"]]:
     """The edges that are nearest to these points, found by walking around the region once.
@@ -177,8 +181,13 @@ def _next_edge(follow: Follow, points: Float[Array, "2 m *n"], state: Around) ->
 
 
 def _nearer(
-    nearest: Nearest, points: Float[Array, "2 m *n"], start: Float[Array, "2 *n"], along: Float[Array, "2 *n"],
-    outwards: Float[Array, "2 *n"], length: Float[Array, "*n"], counts: Bool[Array, "*n"],
+    nearest: Nearest,
+    points: Float[Array, "2 m *n"],
+    start: Float[Array, "2 *n"],
+    along: Float[Array, "2 *n"],
+    outwards: Float[Array, "2 *n"],
+    length: Float[Array, "*n"],
+    counts: Bool[Array, "*n"],
 ) -> Nearest:
     """Of the edges so far and this one, the nearest."""
     normal, offset, foot = nearest

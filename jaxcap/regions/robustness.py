@@ -100,8 +100,8 @@ def _weakest(
         patches, *_ = found
         directions = patches.reshape(-1, 3)
         speeds = score(cone, jnp.broadcast_to(com, directions.shape), directions, gravity).max_speed
-        best = jnp.argmin(speeds.reshape(STARTS, size), axis=1) + size * jnp.arange(STARTS)   # NaN counts as the smallest
-        best = jnp.where(step == 0, _apart(directions, speeds), best)   # at first the patches are the grid
+        best = jnp.argmin(speeds.reshape(STARTS, size), axis=1) + size * jnp.arange(STARTS)  # NaN counts as the smallest
+        best = jnp.where(step == 0, _apart(directions, speeds), best)  # at first the patches are the grid
         offsets = jnp.where(horizontal, row, square @ _rotation(TURN * step, dtype))
         half_width = (APART * shrink**step).astype(dtype)
         return _around(directions[best], half_width * offsets), directions[best], speeds[best]

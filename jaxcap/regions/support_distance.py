@@ -53,9 +53,7 @@ def support_distance(
     return _distances(_to_rays, "rays", support, support.batched, points, gravity)
 
 
-def hull_distance(
-    contacts: ContactSet, points: Num[FloatArray, "*n 2"], gravity: ArrayLike = GRAVITY
-) -> Float[Array, "*n"]:
+def hull_distance(contacts: ContactSet, points: Num[FloatArray, "*n 2"], gravity: ArrayLike = GRAVITY) -> Float[Array, "*n"]:
     """Signed distance of points to the convex hull of the contact points, projected along gravity, as `support_distance`.
 
     Frames and friction do not matter, so only for coplanar contacts is this the support polygon.
@@ -126,7 +124,7 @@ def _to_rays(rays: ConeRays, points: Float[Array, "2 m *n"], gravity: Array) -> 
 
 def _to_hull(contacts: tuple[Array, Array], points: Float[Array, "2 m *n"], gravity: Array) -> Float[Array, "m *n"]:
     points, finite = _finite(points)
-    positions, mask = jax.lax.stop_gradient(contacts)   # (k, 3, *n), (k, *n)
+    positions, mask = jax.lax.stop_gradient(contacts)  # (k, 3, *n), (k, *n)
     origin = jnp.sum(jnp.where(mask[:, None], positions, 0), axis=0) / jnp.maximum(jnp.sum(mask, axis=0), 1)
     project = lambda arms: jnp.tensordot(across(gravity), arms, axes=(1, 1), precision=jax.lax.Precision.HIGHEST)
     corners = jnp.where(mask, project(jnp.where(mask[:, None], positions - origin, 0)), 0)

@@ -116,7 +116,10 @@ def support_polygon(cone: CentroidalCone, gravity: ArrayLike = GRAVITY) -> Suppo
 
 @jax.jit
 def _distance(
-    normals: Float[Array, "m 2"], offsets: Float[Array, " m"], low: Float[Array, " m"], high: Float[Array, " m"],
+    normals: Float[Array, "m 2"],
+    offsets: Float[Array, " m"],
+    low: Float[Array, " m"],
+    high: Float[Array, " m"],
     points: Float[Array, "n 2"],
 ) -> Float[Array, " n"]:
     """Signed distance of points to a region with these edges, both relative to the same origin."""
@@ -149,7 +152,9 @@ def _ends(
 
 
 def _vertices(
-    normals: Float[np.ndarray, "m 2"], offsets: Float[np.ndarray, " m"], low: Float[np.ndarray, " m"],
+    normals: Float[np.ndarray, "m 2"],
+    offsets: Float[np.ndarray, " m"],
+    low: Float[np.ndarray, " m"],
     high: Float[np.ndarray, " m"],
 ) -> Float[np.ndarray, "k 2"]:
     """The ends of all edges, each once, counterclockwise: (k, 2)."""

@@ -69,7 +69,7 @@ class VelocityArea(NamedTuple):
         inner, outer = low[:, None] * directions, high[:, None] * directions
         if some.all():
             return [outer, inner[::-1]] if low.any() else [outer]
-        first = int(np.argmin(some))   # a direction without speeds: no run goes across it
+        first = int(np.argmin(some))  # a direction without speeds: no run goes across it
         order = np.roll(np.arange(len(some)), -first)
         runs = np.split(order, np.flatnonzero(np.diff(some[order])) + 1)
         back = lambda run: inner[run[::-1]] if low[run].any() else np.zeros((1, 2))
@@ -94,7 +94,7 @@ class VelocityArea(NamedTuple):
         low, high = self._finite(longest)
         triangles = triangles[(high[triangles] > 0).all(axis=1)]
         sides = np.concatenate([triangles[:, [i, (i + 1) % 3]] for i in range(3)])
-        n = len(directions)   # the inner vertices follow the outer ones
+        n = len(directions)  # the inner vertices follow the outer ones
         # A side from a to b is the number n a + b; without a triangle that has it from b to a, it is rim.
         rim = sides[~np.isin(sides @ [n, 1], sides @ [1, n])]
         down = np.concatenate([rim[:, ::-1], rim[:, :1] + n], axis=1)
@@ -150,7 +150,7 @@ def velocity_area(
     batch = com.shape[:-1] if sets is None else (sets,)
     if com.ndim == 2 and len(com) != batch[0]:
         raise TypeError(f"com has {len(com)} rows for {batch[0]} contact sets (expected as many, or one CoM)")
-    velocities = jnp.concatenate([towards, jnp.zeros((1, 3), towards.dtype)])   # the last for `standing`
+    velocities = jnp.concatenate([towards, jnp.zeros((1, 3), towards.dtype)])  # the last for `standing`
     states = len(velocities)
     coms = jnp.repeat(jnp.broadcast_to(com, (*batch, 3)).reshape(-1, 3), states, axis=0)
     cone = cone if sets is None else jax.tree.map(lambda leaf: jnp.repeat(leaf, states, axis=0), cone)
