@@ -49,6 +49,8 @@ FACES = tuple(32 * 4**k for k in range(6))
 RAYS = (32, 64, 128)
 TOGETHER = 32
 """Contact sets whose states are scored by rays in one call."""
+FASTEST = 1e3
+"""Limits above it are as good as infinite [m/s]."""
 CHECKED = 10
 """One agreed state is judged in every so many sets."""
 EVERY = 10.0
@@ -111,13 +113,12 @@ def difference(faces: Claims, rays: Claims, speeds: np.ndarray, falls: np.ndarra
         differ = both & (faces.capturable != rays.capturable) & far
         limits = []
         for name in ("max_speed", "min_speed"):
-            one, other = (np.asarray(getattr(form, name), float) for form in (faces, rays))
+            one, other = (np.minimum(getattr(form, name).astype(float), FASTEST) for form in (faces, rays))
             least = np.minimum(one, other)
-            scale = np.maximum(np.where(np.isfinite(least), least, 0), np.maximum(speeds, falls))
+            scale = np.maximum(least, np.maximum(speeds, falls))
             apart = np.abs(one - other) > 2 * band * scale
-            middle = np.where(np.isfinite(one + other), (one + other) / 2, 2 * np.maximum(least, speeds))
             for row in np.flatnonzero(both & ~differ & apart):
-                speed = float(middle[row])
+                speed = float(one[row] + other[row]) / 2
                 if faces.at(row, speed) != rays.at(row, speed):
                     limits.append((int(row), speed))
     return Difference(np.flatnonzero(differ), limits)
