@@ -35,7 +35,7 @@ RANDOM = 8
 """Random neighbours of each sort."""
 UNKNOWN = 10
 """With more places of a ball without a verdict, that a claim holds nowhere else is not known."""
-ENDLESS = 3
+ENDLESS = 1
 """Walks of too many pieces after which no other place is asked: each takes seconds."""
 NEWTON = 6
 """Steps towards the surface of a flat cone."""
