@@ -104,7 +104,7 @@ def capture_point_reach(points, frames, friction, com, com_velocity) -> float:
     cost = np.zeros(matrix.shape[1])
     cost[0] = -1.0
     result = solve(cost, matrix, weight)
-    return {0: -result.fun, 2: np.nan, 3: np.inf}[result.status]
+    return -result.fun if result.status == 0 else {2: np.nan, 3: np.inf}[result.status]
 
 
 def single_times(samples: Samples, predict: Callable[..., object], most: int = STATES) -> Float[np.ndarray, " n"]:
