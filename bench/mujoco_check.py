@@ -1,6 +1,6 @@
 """Would another engine say the same? Labels of the campaign, run again in MuJoCo.
 
-    python -m bench.mujoco_check [--samples N] [--scenarios ...] [--jobs J]    # --samples 200 for a table worth quoting
+    python -m bench.mujoco_check [--samples N] [--scenarios ...] [--folder DIR]    # --samples 200 for a table worth quoting
 
 The first N stops and the first N falls (best of four) of each file in --data. The MuJoCo model is made from Pinocchio's:
 bodies, inertias and hinges are copied, nothing is read from a URDF twice. Contacts are unilateral: a sphere of 1 mm at each
@@ -15,13 +15,17 @@ its last torques and the springs to its last posture carry on: whether the robot
     undecided   neither within the time limit
 
 Two lines a file, for all postures and for those that can be held: of the stops, how many MuJoCo keeps up, lets fall, leaves
-undecided; of the falls, likewise. Then a line for each disagreement: when it was decided, and what the QP had said.
+undecided; of the falls, likewise. Then a line for each disagreement: when it was decided, how long the QP had commands, and
+which joint was the first to be LOST away from the controller's posture, if one was. Runs are kept in --folder as they come,
+so that the same command resumes.
 Extras sim and evaluation; mujoco by itself: pip install "mujoco>=3.2".
 """
 
 from __future__ import annotations
 
 import argparse
+import json
+import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable
@@ -58,6 +62,8 @@ DWELL = 0.2
 """For how long MuJoCo's robot has to be slow [s]."""
 AGAIN = 10
 """Steps after which the inertia is computed again."""
+LOST = 0.1
+"""How far from where the controller has it a joint no longer does as told [rad]."""
 
 
 class Ending(NamedTuple):
@@ -72,6 +78,8 @@ class Ending(NamedTuple):
     """Of the contact that is farthest from its place [m]."""
     speed: float
     """Norm of v."""
+    lost: str
+    """The first joint that was LOST while there were commands, and when; empty: none."""
 
 
 def document(robot: Robot, sample: Sample, dt: float) -> str:
@@ -184,7 +192,7 @@ def free_inertia(robot: Robot, q: np.ndarray) -> np.ndarray:
 def run(robot: Robot, sample: Sample, controller: str, slow: float) -> Ending:
     """A sample in MuJoCo under a controller of ours. slow: |v| below which it has stopped."""
     trace = Simulator(robot, CONFIGURATIONS[controller]).run(sample, trace=True).trace
-    dt, engine, moving = DEFAULT.dt, Engine(robot, sample, DEFAULT.dt), 0
+    dt, engine, moving, lost = DEFAULT.dt, Engine(robot, sample, DEFAULT.dt), 0, ""
     last = len(trace.t) - 1  # the state that ends the run has no command
     for step in range(round((DEFAULT.time_limit + DWELL) / dt) + 1):
         q, v = engine.state()
@@ -196,13 +204,16 @@ def run(robot: Robot, sample: Sample, controller: str, slow: float) -> Ending:
         if (step - moving) * dt >= DWELL:
             outcome = "stopped"
         if outcome:
-            return Ending(outcome, step * dt, last * dt, moved, speed)
+            return Ending(outcome, step * dt, last * dt, moved, speed, lost)
         torque = trace.tau[min(step, last - 1)] if last else np.zeros(len(robot.torque))
         wanted = trace.v[step, 6:] if step < last else 0.0
-        errors = STIFFNESS * (trace.q[min(step, last), 7:] - q[7:]) + DAMPING * (wanted - v[6:])
+        away = trace.q[min(step, last), 7:] - q[7:]
+        if not lost and step < last and np.abs(away).max() > LOST:
+            lost = f"{robot.model.names[2 + int(np.abs(away).argmax())]} at {step * dt:.2f} s"
+        errors = STIFFNESS * away + DAMPING * (wanted - v[6:])
         feedback = np.clip(inertia @ errors, -FEEDBACK * robot.torque, FEEDBACK * robot.torque)
         engine.step(torque + feedback)
-    return Ending("undecided", step * dt, last * dt, engine.moved(q), speed)
+    return Ending("undecided", step * dt, last * dt, engine.moved(q), speed, lost)
 
 
 class Case(NamedTuple):
@@ -240,15 +251,32 @@ def _runner(path: Path, chosen: list[Case], slow: float) -> Callable[[int], Endi
     return one
 
 
-def check(path: Path, number: int, slow: float, jobs: int) -> list[str]:
+class Kept:
+    """Endings of one file's samples, by row, in a file that is written whole with each of them."""
+
+    def __init__(self, path: Path):
+        self.path = path
+        found = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
+        self.endings = {int(row): Ending(*values) for row, values in found.items()}
+
+    def add(self, row: int, ending: Ending) -> None:
+        self.endings[row] = ending
+        half = self.path.with_suffix(".part")
+        half.write_text(json.dumps(self.endings), encoding="utf-8")
+        half.replace(self.path)
+
+
+def check(path: Path, options: argparse.Namespace) -> list[str]:
     """Lines about one file: its counts, then its disagreements."""
     samples = read(path)
-    chosen = cases(samples, number)
-    endings: dict[int, Ending] = {}
-    for index, ending in answers(_runner, (path, chosen, slow), range(len(chosen)), jobs):
+    chosen = cases(samples, options.samples)
+    kept = Kept(options.folder / f"{samples.name}.json")
+    missing = [index for index, case in enumerate(chosen) if case.row not in kept.endings]
+    for index, ending in answers(_runner, (path, chosen, options.slow), missing, options.jobs):
         if isinstance(ending, Died):
             raise ArithmeticError(f"{samples.name}, sample {chosen[index].row}: {ending}")
-        endings[index] = ending
+        kept.add(chosen[index].row, ending)
+    endings = [kept.endings[case.row] for case in chosen]
     lines = []
     for postures, most in (("all", np.inf), ("can be held", 1.0)):
         cells = []
@@ -257,16 +285,17 @@ def check(path: Path, number: int, slow: float, jobs: int) -> list[str]:
             counts = Counter(endings[i].outcome for i in held)
             cells.append(f"{len(held):8}" + "".join(f"{counts[word]:10}" for word in ("stopped", "fallen", "undecided")))
         lines.append(f"{samples.name:14}{postures:13}" + " | ".join(cells))
-    for i, case in enumerate(chosen):
-        ending = endings[i]
-        if ending.outcome != case.label:
-            lines.append(
-                f"  {samples.name} {samples.index[case.row]}: {case.label} -> {ending.outcome} at {ending.time:.2f} s, "
-                f"{case.controllers[-1]}, commands for {ending.commanded:.2f} s, contact moved {1e3 * ending.moved:.0f} mm, "
-                f"|v| {ending.speed:.3f}, "
-                f"effort {samples.effort[case.row]:.2f}"
-            )
-    return lines
+    differ = [(case, ending) for case, ending in zip(chosen, endings, strict=True) if ending.outcome != case.label]
+    return lines + [f"  {samples.name} {_told(samples, case, ending)}" for case, ending in differ]
+
+
+def _told(samples: Samples, case: Case, ending: Ending) -> str:
+    """A disagreement in words."""
+    return (
+        f"{samples.index[case.row]}: {case.label} -> {ending.outcome} at {ending.time:.2f} s, {case.controllers[-1]}, "
+        f"commands for {ending.commanded:.2f} s, contact moved {1e3 * ending.moved:.0f} mm, |v| {ending.speed:.3f}, effort "
+        f"{samples.effort[case.row]:.2f}, lost: {ending.lost or 'none'}"
+    )
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -278,16 +307,20 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--scenarios", nargs="+", default=list(SCENARIOS), metavar="FILE", help="names of files")
     parser.add_argument("--data", type=Path, default=DATA, metavar="FOLDER")
     parser.add_argument("--slow", type=float, default=0.05, help="|v| of a stop: contacts are soft here (default: 0.05)")
+    parser.add_argument("--folder", type=Path, metavar="DIR", help="where runs are kept (default: a temporary folder)")
     parser.add_argument("--jobs", type=int, default=1, metavar="J", help="processes (default: 1)")
     options = parser.parse_args(arguments)
     if options.samples < 1:
         parser.error(f"--samples {options.samples} (expected at least 1)")
     words = "".join(f"{word:>10}" for word in ("stopped", "fallen", "undecided"))
     print(f"mujoco {mujoco.__version__}\n{'file':14}{'postures':13}{'stops':>8}{words} | {'falls':>8}{words}", flush=True)
-    for name in options.scenarios:
-        start = time.perf_counter()
-        print(*check(options.data / f"{name}.parquet", options.samples, options.slow, options.jobs), sep="\n")
-        print(f"  ({time.perf_counter() - start:.0f} s)", flush=True)
+    with tempfile.TemporaryDirectory() as temporary:
+        options.folder = options.folder or Path(temporary)
+        options.folder.mkdir(parents=True, exist_ok=True)
+        for name in options.scenarios:
+            start = time.perf_counter()
+            print(*check(options.data / f"{name}.parquet", options), sep="\n")
+            print(f"  ({time.perf_counter() - start:.0f} s)", flush=True)
 
 
 if __name__ == "__main__":
