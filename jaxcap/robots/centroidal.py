@@ -87,9 +87,10 @@ def convention_error(
 ) -> Float[np.ndarray, "n"]:
     """How far a recorded trajectory's velocities are from its configurations, row by row.
 
-    It shrinks with dt^2 where velocities and configurations belong together. Where they do not (base velocity in the world frame, quaternion w first, joint velocities in an order of their own) it is of the order of the
-    speed, if the base is turned. It cannot see what is wrong in both alike: joints permuted or in degrees in both, an upright
-    base with the quaternion w first. `jaxcap.robots.states` looks at joint limits, soles and the base for that.
+    It shrinks with dt^2 where velocities and configurations belong together. Where they do not (base velocity in the
+    world frame, quaternion w first, joint velocities in an order of their own) it is of the order of the speed, if the
+    base is turned. It cannot see what is wrong in both alike: joints permuted or in degrees in both, an upright base with
+    the quaternion w first. `jaxcap.robots.states` looks at joint limits, soles and the base for that.
 
     Args:
         model: Pinocchio's.

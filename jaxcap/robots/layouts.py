@@ -1,8 +1,8 @@
 """Layouts: which field of a log is what, as data.
 
-A layout is a YAML file. Those of public recorders are in `known_layouts/`, one file each, and an own one is written in the same ten
-lines. What a layout does not say is asked for, never guessed: the order of a quaternion, the frame of a velocity, the order of joints
-without names.
+A layout is a YAML file. Those of public recorders are in `known_layouts/`, one file each, and an own one is written in
+the same ten lines. What a layout does not say is asked for, never guessed: the order of a quaternion, the frame of a
+velocity, the order of joints without names.
 """
 
 import os
@@ -24,8 +24,8 @@ LENGTHS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 """Units of lengths [m]."""
 
 Where = str | tuple[str, ...]
-"""A field of the log: `name`, `name[0:3]` (columns), `name[2]` (one entry of the second axis), `name[x, y]` (columns by name); or
-several, side by side."""
+"""A field of the log: `name`, `name[0:3]` (columns), `name[2]` (one entry of the second axis), `name[x, y]` (columns by
+name); or several, side by side."""
 
 
 @dataclass(frozen=True)

@@ -77,8 +77,8 @@ def load(name_or_path: PathLike, feet: PathLike | None = None) -> Robot:
     Args:
         name_or_path: A name of `ROBOTS`, or a URDF (.urdf) or MJCF (.xml, .mjcf) file. Meshes are looked for beside the file
             and in the folders above it; shapes whose mesh is not there are left out.
-        feet: A YAML file with its patches, as `patches_yaml` prints it. By default those that are known of the robot, or those
-            found from its collision shapes; perhaps none.
+        feet: A YAML file with its patches, as `patches_yaml` prints it. By default those that are known of the robot, or
+            those found from its collision shapes; perhaps none.
 
     Raises:
         InputError: For an unknown name, and for a file that is missing or that Pinocchio cannot read.

@@ -45,8 +45,8 @@ def find_patches(
         posture: (nq,) standing upright, soles flat.
 
     Returns:
-        By the name of the link's frame: the largest rectangle inside the lowest flat face, its length along the link's x axis
-        or y axis, or the lowest ball. Perhaps none.
+        By the name of the link's frame: the largest rectangle inside the lowest flat face, its length along the link's x
+        axis or y axis, or the lowest ball. Perhaps none.
     """
     data = model.createData()
     pin.framesForwardKinematics(model, data, posture)
@@ -136,7 +136,9 @@ def _ball(name: str, link: pin.SE3, points: Float[np.ndarray, "k 3"], radii: Flo
 
 
 def _rectangle(points: Float[np.ndarray, "k 2"]) -> tuple[Float[np.ndarray, "2"], tuple[float, float]] | None:
-    """Centre and half sides of the largest rectangle along the axes inside the hull of the points; None if there is no face."""
+    """Centre and half sides of the largest rectangle along the axes inside the hull of the points; None if there is no
+    face.
+    """
     if len(points) < 3 or np.ptp(points, axis=0).min() < NARROWEST:
         return None
     try:

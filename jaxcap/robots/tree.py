@@ -1,7 +1,7 @@
 """A robot's links, for many states at once: where they are and how they move.
 
-Pinocchio takes one state a call. Here one pass over the joints, from the base outwards, takes all states of a block in NumPy, and
-links, contact points and momentum come from that pass. The tests hold it against Pinocchio, state by state.
+Pinocchio takes one state a call. Here one pass over the joints, from the base outwards, takes all states of a block in
+NumPy, and links, contact points and momentum come from that pass. The tests hold it against Pinocchio, state by state.
 
 States are the last axis throughout: a vector is (3, n), a rotation (3, 3, n). So every inner loop runs along memory.
 """
