@@ -15,8 +15,8 @@ from jaxcap.robots.tree import links  # noqa: E402
 JOINTS = """<robot name="joints"><link name="base"><inertial><mass value="3"/><inertia ixx="1" iyy="2" izz="3" ixy=".1"
 ixz=".2" iyz=".3"/></inertial></link>{links}</robot>"""
 LINK = """<link name="{name}"><inertial><origin xyz=".1 .2 .3" rpy="1 2 3"/><mass value="2"/><inertia ixx="1" iyy="1.2"
-izz="1.3" ixy=".1" ixz="0" iyz="0"/></inertial></link><joint name="j_{name}" type="{kind}"><origin xyz=".3 -.2 .1" rpy=".3 .2 .1"/>
-<parent link="{parent}"/><child link="{name}"/><axis xyz="{axis}"/><limit lower="-1" upper="1" effort="1"
+izz="1.3" ixy=".1" ixz="0" iyz="0"/></inertial></link><joint name="j_{name}" type="{kind}"><origin xyz=".3 -.2 .1" rpy=".3
+.2 .1"/> <parent link="{parent}"/><child link="{name}"/><axis xyz="{axis}"/> <limit lower="-1" upper="1" effort="1"
 velocity="1"/></joint>"""
 KINDS = [
     ("revolute", "0.6 0 0.8"),
@@ -26,10 +26,10 @@ KINDS = [
     ("revolute", "1 0 0"),
 ]
 
-FOOT = """<mujoco model="hopper"><worldbody><body name="base" pos="0 0 1"><freejoint name="root"/><inertial
-pos="0 0 0" mass="3" diaginertia="1 1 1"/><body name="foot" pos="0 0 -.5"><joint name="slide" type="slide" axis="0 0 1" range="-.2 .2"/>
-<inertial pos="0 0 0" mass="1" diaginertia=".1 .1 .1"/><geom type="box" size=".1 .05 .01" pos="0.02 0 -.04"/></body></body>
-</worldbody></mujoco>"""
+FOOT = """<mujoco model="hopper"><worldbody><body name="base" pos="0 0 1">
+<freejoint name="root"/><inertial pos="0 0 0" mass="3" diaginertia="1 1 1"/><body name="foot" pos="0 0 -.5"><joint
+name="slide" type="slide" axis="0 0 1" range="-.2 .2"/> <inertial pos="0 0 0" mass="1" diaginertia=".1 .1 .1"/><geom
+type="box" size=".1 .05 .01" pos="0.02 0 -.04"/></body></body> </worldbody></mujoco>"""
 
 
 def random_states(model, n, seed=0):

@@ -32,9 +32,15 @@ GLITCH = 8.0
 SLACK = 0.5
 """... and by more than this [m/s, rad/s]."""
 AGREE = 0.35
-"""Velocities agree with differences if in most rows they are nearer to them than this share of the speed ..."""
-STILL = 0.05
-"""... and this [m/s, rad/s]."""
+"""Velocities agree with differences if in most rows they are nearer to them than this share of the speed; ..."""
+STILL = 0.03
+"""... rows that are slower do not count [m/s, rad/s] ..."""
+FEW = 5
+"""... and there have to be as many others."""
+SLIDING = 0.25
+"""A sole that stands is slower in most rows [m/s]."""
+MANY_FEET = 3
+"""A robot with so many point feet stands on two at least, in most rows."""
 FASTEST, FASTEST_JOINT = 10.0, 60.0
 """Base and joints do not move faster from row to row [m/s, rad/s]."""
 SUDDEN = 8.0
@@ -120,12 +126,16 @@ def check_upright(q: Float[np.ndarray, "n nq"]) -> list[Finding]:
 
 
 def check_soles(
-    heights: Float[np.ndarray, "n p"], tilts: Float[np.ndarray, "n p"], flat: Bool[np.ndarray, " p"]
+    heights: Float[np.ndarray, "n p"],
+    speeds: Float[np.ndarray, "n p"],
+    tilts: Float[np.ndarray, "n p"],
+    flat: Bool[np.ndarray, " p"],
 ) -> list[Finding]:
-    """A sole on the ground, and flat on it, in most rows.
+    """A sole on the ground, flat on it and at rest, in most rows.
 
     Args:
         heights: Of the lowest point of each patch above the ground [m].
+        speeds: Of that point [m/s].
         tilts: Cosine between each patch's normal and the ground's.
         flat: Which patches are rectangles.
     """
@@ -136,6 +146,14 @@ def check_soles(
             f"the lowest sole is {np.median(lowest):.2g} m above the ground in half of the rows (expected within {NEAR:g} m)"
         )
         found.append(Finding("soles", words))
+    on_lowest = np.take_along_axis(speeds, np.nan_to_num(heights, nan=np.inf).argmin(axis=1)[:, None], axis=1)
+    if np.median(on_lowest) > SLIDING:
+        words = f"the lowest sole moves at {np.median(on_lowest):.2g} m/s in half of the rows (expected below {SLIDING:g})"
+        found.append(Finding("slide", words))
+    near = (heights < lowest[:, None] + NEAR).sum(axis=1)
+    if not flat.any() and len(flat) >= MANY_FEET and np.median(near) < 2:
+        words = f"one of {len(flat)} feet is near the ground in half of the rows (expected two: joints in another order?)"
+        found.append(Finding("feet", words))
     if flat.any():
         down = np.where(np.abs(heights - lowest[:, None]) < NEAR, tilts, -1)[:, flat]
         best = down.max(axis=1)
@@ -178,9 +196,10 @@ def _against(what: str, logged: np.ndarray | None, differences: np.ndarray, unit
     if not logged.size:
         return []
     error, speed = np.linalg.norm(logged - differences, axis=1), np.linalg.norm(differences, axis=1)
-    if np.median(error) > AGREE * np.median(speed) + STILL:
-        words = f"{what} is {np.median(error):.2g} {unit} from the differences of the positions in half of the rows"
-        return [Finding(what, f"{words} (speed {np.median(speed):.2g}; another frame, order or unit?)")]
+    moving = (speed > STILL) | (error > STILL)
+    if moving.sum() >= FEW and np.median(error[moving] / np.maximum(speed[moving], STILL)) > AGREE:
+        words = f"{what} is {np.median(error[moving]):.2g} {unit} from the differences of the positions in half of the rows"
+        return [Finding(what, f"{words} (speed {np.median(speed[moving]):.2g}; another frame, order or unit?)")]
     glitches = np.flatnonzero(error > np.maximum(GLITCH * np.median(error), SLACK + speed))
     if len(glitches):
         row = int(glitches[0])

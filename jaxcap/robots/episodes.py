@@ -30,7 +30,7 @@ class Column:
         for array, inner in self._parts:
             piece = np.asarray(array[self._first + start : self._first + stop], dtype=np.float64)
             piece = piece if inner is None else piece[:, inner]
-            found.append(piece.reshape(len(piece), -1) if len(self._parts) > 1 else piece)
+            found.append(piece[:, None] if piece.ndim == 1 and len(self._parts) > 1 else piece)
         return found[0] if len(found) == 1 else np.concatenate(found, axis=1)
 
 

@@ -192,7 +192,7 @@ class _Stepper:
             findings += found
         body = whole_body(model, self._robot.patches, self._ground, rows.configurations, v)
         soles = self._points.soles(body.feet)
-        findings += checks.check_soles(soles.heights, soles.tilts, self._points.flat)
+        findings += checks.check_soles(*soles, self._points.flat)
         mask = self._touching(rows, body.feet, soles, low, stop)
         keep = slice(start - low, stop - low)
         return _states(rows, body, mask, options.friction, keep, start), findings
