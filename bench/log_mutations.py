@@ -3,9 +3,9 @@
     python -m bench.log_mutations
 
 Each mutation is one that is on record: a quaternion in the other order, degrees, joints permuted in positions and velocities
-alike, velocities in the other frame, y up, millimetres, a glitch in a row, a floating or sunken clip, an upside-down base, times
-that jump. It is `refused`, `noted`, or `corrected`: without a word, but the states are those of the good log. A mutation that
-changes the states and is met with silence is a failure, and the exit code is 1.
+alike, velocities in the other frame, y up, millimetres, a glitch in a row, a floating or sunken clip, an upside-down
+base, times that jump. It is `refused`, `noted`, or `corrected`: without a word, but the states are those of the good log.
+A mutation that changes the states and is met with silence is a failure, and the exit code is 1.
 """
 
 import argparse
@@ -132,7 +132,7 @@ MUTATIONS: dict[str, Callable[[Fields, np.random.Generator], Fields]] = {
         floating,
         upside_down,
         shuffled,
-    )  # fmt: skip
+    )
 }
 
 

@@ -14,10 +14,11 @@ from jaxcap.robots.tree import links  # noqa: E402
 
 JOINTS = """<robot name="joints"><link name="base"><inertial><mass value="3"/><inertia ixx="1" iyy="2" izz="3" ixy=".1"
 ixz=".2" iyz=".3"/></inertial></link>{links}</robot>"""
-LINK = """<link name="{name}"><inertial><origin xyz=".1 .2 .3" rpy="1 2 3"/><mass value="2"/><inertia ixx="1" iyy="1.2"
-izz="1.3" ixy=".1" ixz="0" iyz="0"/></inertial></link><joint name="j_{name}" type="{kind}"><origin xyz=".3 -.2 .1" rpy=".3
-.2 .1"/> <parent link="{parent}"/><child link="{name}"/><axis xyz="{axis}"/> <limit lower="-1" upper="1" effort="1"
-velocity="1"/></joint>"""
+LINK = """<link name="{name}"><inertial><origin xyz=".1 .2 .3" rpy="1 2 3"/><mass value="2"/>
+<inertia ixx="1" iyy="1.2" izz="1.3" ixy=".1" ixz="0" iyz="0"/></inertial></link>
+<joint name="j_{name}" type="{kind}"><origin xyz=".3 -.2 .1" rpy=".3 .2 .1"/>
+<parent link="{parent}"/><child link="{name}"/><axis xyz="{axis}"/>
+<limit lower="-1" upper="1" effort="1" velocity="1"/></joint>"""
 KINDS = [
     ("revolute", "0.6 0 0.8"),
     ("prismatic", "0 1 0"),

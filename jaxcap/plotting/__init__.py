@@ -20,3 +20,4 @@ with needs_extra("plots", "drawing"):
     from jaxcap.plotting.patches import footprint as footprint
     from jaxcap.plotting.phase import phase_portrait as phase_portrait
     from jaxcap.plotting.stance_in_space import stance as stance
+    from jaxcap.plotting.over_time import timeline as timeline

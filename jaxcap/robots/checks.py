@@ -39,8 +39,10 @@ FEW = 5
 """... and there have to be as many others."""
 SLIDING = 0.25
 """A sole that stands is slower in most rows [m/s]."""
-MANY_FEET = 3
-"""A robot with so many point feet stands on two at least, in most rows."""
+MANY_FEET, PAIR = 3, 1.9
+"""A robot with so many point feet touches with as many on average: a trot has two, a stance all."""
+AIRBORNE = 0.5
+"""Share of the rows in which nothing touches."""
 FASTEST, FASTEST_JOINT = 10.0, 60.0
 """Base and joints do not move faster from row to row [m/s, rad/s]."""
 SUDDEN = 8.0
@@ -150,10 +152,6 @@ def check_soles(
     if np.median(on_lowest) > SLIDING:
         words = f"the lowest sole moves at {np.median(on_lowest):.2g} m/s in half of the rows (expected below {SLIDING:g})"
         found.append(Finding("slide", words))
-    near = (heights < lowest[:, None] + NEAR).sum(axis=1)
-    if not flat.any() and len(flat) >= MANY_FEET and np.median(near) < 2:
-        words = f"one of {len(flat)} feet is near the ground in half of the rows (expected two: joints in another order?)"
-        found.append(Finding("feet", words))
     if flat.any():
         down = np.where(np.abs(heights - lowest[:, None]) < NEAR, tilts, -1)[:, flat]
         best = down.max(axis=1)
@@ -163,6 +161,17 @@ def check_soles(
             words = f"the soles are tilted by {tilt:.0f} degrees where they are lowest, in half of the rows"
             found.append(Finding("tilt", f"{words} (joints in another order? another base frame?)"))
     return found
+
+
+def check_contacts(touching: Bool[np.ndarray, "n p"], flat: Bool[np.ndarray, " p"]) -> list[Finding]:
+    """Something touches in most rows; of many point feet two, on average."""
+    airborne, average = float((~touching.any(axis=1)).mean()), float(touching.sum(axis=1).mean())
+    if airborne > AIRBORNE:
+        return [Finding("contacts", f"nothing touches the ground in {airborne:.0%} of the rows")]
+    if len(flat) >= MANY_FEET and not flat.any() and average < PAIR:
+        words = f"{average:.1f} of {len(flat)} feet touch on average (expected two: joints in another order?)"
+        return [Finding("contacts", words)]
+    return []
 
 
 def check_ground(height: float) -> list[Finding]:

@@ -22,7 +22,7 @@ from jaxcap.robots.layouts import Layout, layout_of
 from jaxcap.robots.models import Robot, load
 from jaxcap.robots.motion import Rows, Source, Velocities
 from jaxcap.robots.touch import Touching, decided, lasting
-from jaxcap.robots.whole_body import Feet, Points, Soles, WholeBody, whole_body
+from jaxcap.robots.whole_body import Points, Soles, WholeBody, whole_body
 
 PIECE = 1 << 15
 """Rows of an episode that are in memory at a time."""
@@ -193,9 +193,12 @@ class _Stepper:
         body = whole_body(model, self._robot.patches, self._ground, rows.configurations, v)
         soles = self._points.soles(body.feet)
         findings += checks.check_soles(*soles, self._points.flat)
-        mask = self._touching(rows, body.feet, soles, low, stop)
+        touching = self._touching(rows, soles, low, stop)
+        findings += checks.check_contacts(touching, self._points.flat)
+        owner = self._points.patch
+        level = body.feet.heights - soles.heights[:, owner] < options.touching.level
         keep = slice(start - low, stop - low)
-        return _states(rows, body, mask, options.friction, keep, start), findings
+        return _states(rows, body, touching[:, owner] & level, options.friction, keep, start), findings
 
     def _look(self, rows: Rows, moved: np.ndarray, low: int) -> list[checks.Finding]:
         """What can be seen without the links."""
@@ -213,18 +216,16 @@ class _Stepper:
         ground = float(np.median(height[slow] if slow.any() else height))
         return Flat(ground), checks.check_ground(ground)
 
-    def _touching(self, rows: Rows, feet: Feet, soles: Soles, low: int, stop: int) -> Bool[np.ndarray, "n k"]:
-        """Which points touch: of the patches that do, by flags or by height and speed, those level with the lowest."""
-        rules = self._options.touching
-        raw = decided(soles.heights, soles.speeds, rules, self._before)
+    def _touching(self, rows: Rows, soles: Soles, low: int, stop: int) -> Bool[np.ndarray, "n p"]:
+        """Which patches touch, by flags or by height and speed."""
+        raw = decided(soles.heights, soles.speeds, self._options.touching, self._before)
         next_low = max(0, stop - self._halo)
         if next_low > low:
             self._before = raw[next_low - low - 1]
         patches = lasting(raw, self._dwell)
         for number, name in enumerate(self._robot.patches):
             patches[:, number] = rows.touching.get(name, patches[:, number])
-        owner = self._points.patch
-        return patches[:, owner] & (feet.heights - soles.heights[:, owner] < rules.level)
+        return patches
 
 
 def _logged(logged: Velocities, moved: Float[np.ndarray, "n nv"]) -> Float[np.ndarray, "n nv"]:
