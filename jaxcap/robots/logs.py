@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from jaxcap.contacts.contact_set import ContactSet
 from jaxcap.errors import InputError
 from jaxcap.robots import checks
 from jaxcap.robots.centroidal import check_units, rows_of
@@ -67,6 +68,11 @@ class States(NamedTuple):
     contact_mask: Bool[np.ndarray, "n k"]
     configuration: Float[np.ndarray, "n nq"]
     """In Pinocchio's conventions: for pictures."""
+
+    @property
+    def contacts(self) -> ContactSet:
+        """The contacts of all rows, as `jaxcap.cone_rays` takes them: (n, k), masked where a point does not touch."""
+        return ContactSet.unchecked(self.contact_points, self.contact_frames, self.contact_friction, self.contact_mask)
 
 
 class Log:
