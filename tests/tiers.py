@@ -1,4 +1,4 @@
-"""Which tests run always, and which only with `--everything`.
+"""Which tests run always, and which only with `--everything`, or with `--others`, which leaves out the quick ones.
 
 A test is quick unless it has one of the marks below, by a decorator or by the table. The quick ones cover every room: a law
 of each kind in both forms and precisions, files, a map, a picture, a command, the simulator, the reference. Together they
@@ -177,3 +177,13 @@ def kind_of(file: str) -> str:
 def is_quick(item) -> bool:
     """Whether a test runs always."""
     return not any(item.get_closest_marker(name) for name in MARKS)
+
+
+def part(option) -> str:
+    """The part of the tests that pytest's options ask for: "all", "quick" or "others"."""
+    return "all" if option.everything or option.markexpr else "others" if option.others else "quick"
+
+
+def chosen(items, part: str) -> list:
+    """The tests of a part, in their order."""
+    return [item for item in items if part == "all" or is_quick(item) == (part == "quick")]
