@@ -159,15 +159,6 @@ QUICK: dict[str, tuple[str, ...]] = {
 """Files with tests that are not quick: all but those whose names begin like these."""
 
 
-HEAVY = (
-    "test_ray_form.py", "test_laws.py", "test_velocity_area.py", "test_reference.py", "test_special_cases.py", "test_maps.py",
-    "test_contact_gradients.py", "test_gradients.py", "test_inputs.py", "test_batch.py", "test_cli_contacts.py", "test_cli_map.py",
-    "test_contact_rows.py", "test_export.py", "test_devices.py", "test_tsid_controller.py", "test_contact_axes.py",
-    "test_kernel_checks.py", "test_evaluation.py", "test_second_opinion.py", "test_reference_oracles.py", "test_cli.py",
-)  # fmt: skip
-"""Files that compile a lot come first, or one worker would be left with them at the end."""
-
-
 def mark(items) -> None:
     """Gives every collected test the mark of its file."""
     for item in items:
@@ -193,7 +184,5 @@ def part(option) -> str:
 
 
 def chosen(items, part: str) -> list:
-    """The tests of a part, those of heavy files first."""
-    wanted = [item for item in items if part == "all" or is_quick(item) == (part == "quick")]
-    place = {file: i for i, file in enumerate(HEAVY)}
-    return sorted(wanted, key=lambda item: place.get(item.path.name, len(HEAVY)))
+    """The tests of a part, in their order."""
+    return [item for item in items if part == "all" or is_quick(item) == (part == "quick")]
