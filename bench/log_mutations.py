@@ -186,7 +186,9 @@ def main(arguments: list[str] | None = None) -> int:
     """Prints the table."""
     parser = argparse.ArgumentParser(description="Mutate good logs and print what becomes of them.")
     parser.add_argument("--each", type=int, default=EACH, help="mutations of each kind")
-    found = table(parser.parse_args(arguments).each)
+    parser.add_argument("--seed", type=int, default=0)
+    options = parser.parse_args(arguments)
+    found = table(options.each, options.seed)
     print("| mutation | of | refused | noted | corrected | silent | for example |\n|---|---|---|---|---|---|---|")
     for name, fates in found.items():
         counts = Counter(one.word for one in fates)

@@ -10,7 +10,6 @@ MARKS = ("slow", "sim", "evaluation")
 
 QUICK: dict[str, tuple[str, ...]] = {
     "test_batch.py": (
-        "test_every_state_is_answered_in_its_place[65",
         "test_what_is_left_is_sorted_by_kind_and_slope",
         "test_fields_have_their_types",
         "test_importing_costs_no_extra",
