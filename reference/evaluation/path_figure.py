@@ -160,10 +160,10 @@ def described(found: dict[str, dict[str, Side]]) -> str:
 
 def drawn(found: dict[str, dict[str, Side]]) -> Figure:
     """A row for each scenario; in it, for each side under its name, the xy plane and the xz plane."""
-    figure = Figure(figsize=(WIDE, 0.75 + 1.13 * len(found)), layout="constrained")
+    figure = Figure(figsize=(WIDE, 0.8 + 1.0 * len(found)), layout="constrained")
     grid = figure.subplots(len(found), 2 * len(SIDES), squeeze=False, sharex=True, sharey=True)
     for row, (title, columns) in zip(grid, found.items(), strict=True):
-        row[0].set_ylabel(title.replace(", ", ",\n", 1).replace(" pushes", "\npushes"))
+        row[0].set_ylabel(title.replace(", ", ",\n"))
         for number, (name, color) in enumerate(zip(SIDES, (BLUE, RED), strict=True)):
             side = columns[name]
             for axes, axis in zip(row[2 * number : 2 * number + 2], (1, 2), strict=True):

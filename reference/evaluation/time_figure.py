@@ -177,7 +177,7 @@ def described(measured: dict[str, Times]) -> str:
 
 def drawn(measured: dict[str, Times]) -> Figure:
     """Left, Algorithm 1 and the times of batches, right, the capture point; a line for each scenario."""
-    figure = Figure(figsize=(WIDE, 2.9), layout="constrained")
+    figure = Figure(figsize=(WIDE, 3.1), layout="constrained")
     left, right = figure.subplots(1, 2, sharex=True, sharey=True)
     for (title, (single, point, own, shared)), stroke in zip(measured.items(), STROKES, strict=False):
         left.step(*cumulative(single), where="post", **stroke._asdict(), label=title)
@@ -199,5 +199,5 @@ def drawn(measured: dict[str, Times]) -> Figure:
     sign = lambda face, label: Line2D([], [], color=GREY, marker="o", markersize=4, markerfacecolor=face, label=label)
     batches = [sign(GREY, "batch, own contacts: mean"), sign("white", "batch, one contact set: mean")]
     handles, _ = left.get_legend_handles_labels()
-    figure.legend(handles=[*handles, *batches], loc="outside lower center", ncols=5, frameon=False, handlelength=3.0)
+    figure.legend(handles=[*handles, *batches], loc="outside lower center", ncols=3, frameon=False, handlelength=3.0)
     return figure
