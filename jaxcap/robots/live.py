@@ -6,6 +6,7 @@ column, pointing at the robot. qvel has the base's linear velocity in the world,
 
 from typing import Any, NamedTuple
 
+import jax
 import numpy as np
 from jaxtyping import Bool, Float
 
@@ -22,14 +23,6 @@ class LiveStates(NamedTuple):
     """[m]"""
     com_velocity: Float[np.ndarray, "n 3"]
     """[m/s]"""
-
-
-class _Contacts(NamedTuple):
-    """Of one state."""
-
-    points: Float[np.ndarray, "k 3"]
-    frames: Float[np.ndarray, "k 3 3"]
-    friction: Float[np.ndarray, " k"]
 
 
 def from_mujoco(model: Any, data: Any, body: int | str = 1, trajectory: Any = None, forward: Any = None) -> LiveStates:
@@ -78,13 +71,13 @@ def _body(model: Any, body: int | str) -> int:
     return body
 
 
-def _state(model: Any, data: Any, root: int) -> tuple[_Contacts, np.ndarray, np.ndarray]:
-    """Contacts, CoM and its velocity."""
+def _state(model: Any, data: Any, root: int) -> LiveStates:
+    """Of one state, without the leading axis."""
     mine = _below(model, root)
     masses = np.where(mine, model.body_mass, 0.0)
     com = masses @ data.xipos / masses.sum()
     velocity = sum(mass * _velocity(model, data, number) for number, mass in enumerate(masses) if mass) / masses.sum()
-    return _touching(model, data, mine), com, velocity
+    return LiveStates(_touching(model, data, mine), com, velocity)
 
 
 def _below(model: Any, root: int) -> Bool[np.ndarray, " b"]:
@@ -102,7 +95,7 @@ def _velocity(model: Any, data: Any, number: int) -> Float[np.ndarray, "3"]:
     return twist[3:] + np.cross(twist[:3], data.xipos[number] - centre)
 
 
-def _touching(model: Any, data: Any, mine: Bool[np.ndarray, " b"]) -> _Contacts:
+def _touching(model: Any, data: Any, mine: Bool[np.ndarray, " b"]) -> ContactSet:
     """The contacts of the robot with the rest of the world."""
     points, frames, friction = [], [], []
     for contact in data.contact[: data.ncon]:
@@ -110,24 +103,23 @@ def _touching(model: Any, data: Any, mine: Bool[np.ndarray, " b"]) -> _Contacts:
         if first == second or contact.dist > 0:
             continue
         normal, tangent, _ = np.asarray(contact.frame).reshape(3, 3)
-        normal = (
-            normal if second else -normal
-        )  # it points from the first geom to the second: at the robot, if that is second
+        if first:
+            normal = -normal  # it points from the first geom to the second, and that is not the robot
         points.append(np.array(contact.pos))
         frames.append(np.stack([tangent, np.cross(normal, tangent), normal], axis=1))
         friction.append(float(contact.friction[0]))
     k = len(points)
-    return _Contacts(np.array(points).reshape(k, 3), np.array(frames).reshape(k, 3, 3), np.array(friction).reshape(k))
+    arrays = np.array(points).reshape(k, 3), np.array(frames).reshape(k, 3, 3), np.array(friction).reshape(k)
+    return ContactSet.unchecked(*arrays, np.ones(k, dtype=bool))
 
 
-def _stacked(found: list[tuple[_Contacts, np.ndarray, np.ndarray]]) -> LiveStates:
-    """Padded to the most contacts."""
-    contacts, coms, velocities = zip(*found, strict=True)
-    k, n = max(1, *(len(one.friction) for one in contacts)), len(found)
+def _stacked(found: list[LiveStates]) -> LiveStates:
+    """Padded to the most contacts; unchecked, or a contact without friction would cost the other states."""
+    k, n = max(1, *(len(state.contacts) for state in found)), len(found)
     points, frames = np.zeros((n, k, 3)), np.tile(np.eye(3), (n, k, 1, 1))
     friction, mask = np.ones((n, k)), np.zeros((n, k), dtype=bool)
-    for i, one in enumerate(contacts):
-        there = slice(0, len(one.friction))
-        points[i, there], frames[i, there], friction[i, there] = one.points, one.frames, one.friction
-        mask[i, there] = True
-    return LiveStates(ContactSet.unchecked(points, frames, friction, mask), np.array(coms), np.array(velocities))
+    for i, state in enumerate(found):
+        for whole, part in zip((points, frames, friction, mask), jax.tree.leaves(state.contacts), strict=True):
+            whole[i, : len(part)] = part
+    coms, velocities = (np.array([getattr(state, name) for state in found]) for name in ("com", "com_velocity"))
+    return LiveStates(ContactSet.unchecked(points, frames, friction, mask), coms, velocities)

@@ -97,7 +97,6 @@ class Log:
             )
         self.layout = recognised(self.path) if layout is None else layout
         self._found: dict[str, list[str]] = {}
-        self._order: list[str] = []
         self.episodes = 0
         """Episodes of which rows came out."""
 
@@ -288,10 +287,8 @@ def states(
     Raises:
         InputError: As `Log`.
     """
-    robot = robot if isinstance(robot, Robot) else load(robot)
     layout = layout if layout is None or isinstance(layout, Layout) else layout_of(layout)
-    ground = read_ground(ground) if isinstance(ground, float | int | str | os.PathLike) else ground
-    pieces = list(Log(path, robot, layout, Options(ground=ground, **options)))
+    pieces = list(Log(path, _robot(robot), layout, _options(ground, options)))
     return States(*(np.concatenate(parts) for parts in zip(*pieces, strict=True)))
 
 
@@ -317,15 +314,22 @@ def states_of(
         InputError: For what a log would be refused for.
         ValueError: For wrong shapes, and values that are not finite.
     """
-    robot = robot if isinstance(robot, Robot) else load(robot)
-    ground = read_ground(ground) if isinstance(ground, float | int | str | os.PathLike) else ground
-    said = Options(ground=ground, **options)
+    robot, said = _robot(robot), _options(ground, options)
     stepper = _Stepper(robot, _Given(robot, time, configurations, velocities), said)
     found, findings = stepper.step(0, len(time))
     for finding in findings:
         if finding.refused or said.strict:
             raise InputError(finding.words)
     return found
+
+
+def _robot(robot: str | os.PathLike | Robot) -> Robot:
+    return robot if isinstance(robot, Robot) else load(robot)
+
+
+def _options(ground: float | str | os.PathLike | Ground | None, others: dict[str, Any]) -> Options:
+    read = read_ground(ground) if isinstance(ground, float | int | str | os.PathLike) else ground
+    return Options(ground=read, **others)
 
 
 class _Given:
