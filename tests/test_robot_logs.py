@@ -3,6 +3,8 @@
 import json
 import pickle
 import re
+from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -12,6 +14,7 @@ pin = pytest.importorskip("pinocchio")
 import robot_logs  # noqa: E402
 from robot_logs import LAYOUTS  # noqa: E402
 
+import jaxcap  # noqa: E402
 from bench.robot_motion import Motion, motion  # noqa: E402
 from jaxcap import robots  # noqa: E402
 from jaxcap.errors import InputError  # noqa: E402
@@ -65,22 +68,59 @@ def assert_same(found: States, wanted: States):
     np.testing.assert_array_equal(found.contact_mask, wanted.contact_mask)
 
 
+class Both(NamedTuple):
+    """The states of a log, an entry for each episode, and those of the direct path."""
+
+    log: Log
+    found: list[States]
+    wanted: States
+
+
+@pytest.fixture(scope="module")
+def both(g1, stepping, tienkung, tmp_path_factory):
+    """By the name of a layout, a log that was written in it and read."""
+
+    @cache
+    def of(name: str) -> Both:
+        layout, (robot, one) = LAYOUTS[name], case(name, g1, stepping, tienkung)
+        path = tmp_path_factory.mktemp(name) / layout.file
+        layout.write(path, one, robot.model)
+        log = Log(path, robot, None if layout.recognised else robots.layout_of(name))
+        return Both(log, list(log), robots.states_of(robot, one.time, one.q, one.v if layout.velocities else None))
+
+    return of
+
+
 @pytest.mark.parametrize("name", LAYOUTS)
-def test_a_log_gives_the_states_of_the_direct_path(name, g1, stepping, tienkung, tmp_path):
-    layout, (robot, one) = LAYOUTS[name], case(name, g1, stepping, tienkung)
-    path = tmp_path / layout.file
-    layout.write(path, one, robot.model)
-    log = Log(path, robot, None if layout.recognised else robots.layout_of(name))
+def test_a_log_gives_the_states_of_the_direct_path(name, both):
+    log, found, wanted = both(name)
     assert log.layout.name == name
-    found = list(log)
     missing = [note for note in log.notes if "held at zero" in note]
     assert log.notes == tuple(missing) and bool(missing) == (name == "asap")  # nothing looks wrong
-    assert log.episodes == layout.episodes
-    wanted = robots.states_of(robot, one.time, one.q, one.v if layout.velocities else None)
+    assert log.episodes == len(found) == len({piece.episode[0] for piece in found}) == LAYOUTS[name].episodes
     assert wanted.contact_mask.any() and not wanted.contact_mask.all()
-    for number in range(layout.episodes):
-        episode = [piece for piece in found if piece.episode[0] == found[number].episode[0]]
-        assert_same(States(*(np.concatenate(parts) for parts in zip(*episode, strict=True))), wanted)
+    for episode in found:
+        assert_same(episode, wanted)
+
+
+@pytest.mark.slow
+def test_a_log_in_any_layout_gives_the_verdicts_of_the_direct_path(both, x64):
+    """All rows of all layouts go through one program, beside those of the direct path."""
+    fields = ("contact_points", "contact_frames", "contact_friction", "contact_mask", "com", "com_velocity")
+    logs = {name: both(name) for name in LAYOUTS}
+    pieces = [piece for log in logs.values() for piece in (log.wanted, *log.found)]
+    *contacts, coms, velocities = (np.concatenate([getattr(piece, field) for piece in pieces]) for field in fields)
+    scores = jaxcap.score(jaxcap.cone_rays(jaxcap.ContactSet.unchecked(*contacts)), coms, velocities)
+    assert np.asarray(scores.capturable).any() and not np.asarray(scores.capturable).all()
+    ends = np.cumsum([len(piece.t) for piece in pieces])[:-1]
+    verdicts = zip(*(np.split(np.asarray(field), ends) for field in scores), strict=True)
+    for name, log in logs.items():
+        wanted = scores._make(next(verdicts))
+        for _ in log.found:
+            found = scores._make(next(verdicts))
+            for field in scores._fields:
+                one, other = getattr(found, field), getattr(wanted, field)
+                np.testing.assert_allclose(one, other, rtol=0, atol=CLOSE, err_msg=f"{name}: {field}")
 
 
 @pytest.mark.parametrize("write", ["joblib", "pickle", "old pickle"])
