@@ -1,6 +1,6 @@
-"""Logs that are not what they seem: 200 mutations of good ones, and what becomes of each.
+"""Logs that are not what they seem: 200 mutations of good ones, or more, and what becomes of each.
 
-    python -m bench.log_mutations
+    python -m bench.log_mutations [--seeds 0 1 2 3 4 5]
 
 Each mutation is one that is on record: a quaternion in the other order, degrees, joints permuted in positions and velocities
 alike, velocities in the other frame, y up, millimetres, a glitch in a row, a floating or sunken clip, an upside-down
@@ -186,9 +186,10 @@ def main(arguments: list[str] | None = None) -> int:
     """Prints the table."""
     parser = argparse.ArgumentParser(description="Mutate good logs and print what becomes of them.")
     parser.add_argument("--each", type=int, default=EACH, help="mutations of each kind")
-    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--seeds", type=int, nargs="+", default=[0], help="as many times each, all in one table")
     options = parser.parse_args(arguments)
-    found = table(options.each, options.seed)
+    tables = [table(options.each, seed) for seed in options.seeds]
+    found = {name: [one for part in tables for one in part[name]] for name in MUTATIONS}
     print("| mutation | of | refused | noted | corrected | silent | for example |\n|---|---|---|---|---|---|---|")
     for name, fates in found.items():
         counts = Counter(one.word for one in fates)

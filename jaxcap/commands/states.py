@@ -74,7 +74,8 @@ VELOCITIES
 
 NOTES AND ERRORS
   Looked at are unit quaternions, joint limits, the base upright, soles on the
-  ground and flat, velocities against differences, jumps and time steps. What
+  ground, flat, at rest and below the CoM, velocities against differences,
+  jumps and time steps. What
   is wrong beyond doubt costs the episode, the others are not affected; what is
   doubtful is a line on stderr and in the metadata. With --strict both are
   errors, and nothing is written.

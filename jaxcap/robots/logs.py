@@ -197,13 +197,15 @@ class _Stepper:
             findings += found
         body = whole_body(model, self._robot.patches, self._ground, rows.configurations, v)
         soles = self._points.soles(body.feet)
-        findings += checks.check_soles(*soles, self._points.flat)
+        findings += checks.check_soles(soles.heights, soles.speeds, soles.tilts, self._points.flat)
         touching = self._touching(rows, soles, low, stop)
-        findings += checks.check_contacts(touching, self._points.flat)
         owner = self._points.patch
-        level = body.feet.heights - soles.heights[:, owner] < options.touching.level
+        mask = touching[:, owner] & (body.feet.heights - soles.heights[:, owner] < options.touching.level)
+        findings += checks.check_contacts(touching)
+        findings += checks.check_slips(touching, soles.slips, list(self._robot.patches))
+        findings += checks.check_support(body.states.com, body.feet.points, mask)
         keep = slice(start - low, stop - low)
-        return _states(rows, body, touching[:, owner] & level, options.friction, keep, start), findings
+        return _states(rows, body, mask, options.friction, keep, start), findings
 
     def _look(self, rows: Rows, moved: np.ndarray, low: int) -> list[checks.Finding]:
         """What can be seen without the links."""
