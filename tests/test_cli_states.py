@@ -1,6 +1,9 @@
 """`jaxcap states`, and `jaxcap score --robot`."""
 
 import json
+import sys
+import tomllib
+from pathlib import Path
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -88,6 +91,37 @@ def test_help_and_what_is_missing(capsys):
     assert all(name in said for name in (*robots.known_layouts(), *robots.ROBOTS))
     assert main(["states", "--robot", "g1", "-o", "a.parquet"]) == 2
     assert "LOG is missing" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "extra"),
+    [
+        (["states", "{log}", "--robot", "g1", "-o", "{out}"], "logs"),
+        (["states", "--robot", "g1", "--print-feet"], "logs"),
+        (["score", "{log}", "--robot", "g1", "-o", "{out}"], "logs"),
+        (["view", "{states}", "--robot", "g1"], "view"),
+    ],
+)
+def test_without_pinocchio_the_extra_that_has_all_is_named(log, tmp_path, capsys, monkeypatch, arguments, extra):
+    if extra == "view":
+        pytest.importorskip("viser")
+    states, out = tmp_path / "states.parquet", tmp_path / "out.parquet"
+    assert main(["states", str(log), "--robot", "g1", "-o", str(states)]) == 0
+    for name in [name for name in sys.modules if name.startswith("jaxcap.robots")]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "pinocchio", None)
+    assert main([text.format(log=log, states=states, out=out) for text in arguments]) == 2
+    assert f'robots need Pinocchio; install it with: pip install "jaxcap[{extra}]"' in capsys.readouterr().err
+    assert not out.exists() and not leftovers(tmp_path)
+
+
+def test_those_extras_have_all_that_the_commands_import():
+    """Commands need `cli`, robots Pinocchio, states pyarrow, and the patches of a robot YAML."""
+    project = Path(__file__).parents[1] / "pyproject.toml"
+    extras = tomllib.loads(project.read_text())["project"]["optional-dependencies"]
+    for extra in ("logs", "view"):
+        assert "jaxcap[robots,data,cli]" in extras[extra]
+    assert any(package.startswith("pyyaml") for package in extras["cli"])
 
 
 def test_options_of_a_log_need_a_robot(log, tmp_path, capsys):

@@ -75,10 +75,9 @@ VELOCITIES
 NOTES AND ERRORS
   Looked at are unit quaternions, joint limits, the base upright, soles on the
   ground, flat, at rest and below the CoM, velocities against differences,
-  jumps and time steps. What
-  is wrong beyond doubt costs the episode, the others are not affected; what is
-  doubtful is a line on stderr and in the metadata. With --strict both are
-  errors, and nothing is written.
+  jumps and time steps. What is wrong beyond doubt costs the episode, the
+  others are not affected; what is doubtful is a line on stderr and in the
+  metadata. With --strict both are errors, and nothing is written.
 
 OUT
   Parquet or NPZ. For each row t (its time), episode, row, com, com_velocity,
@@ -136,9 +135,10 @@ def states(
         force: Overwrite OUT if it exists.
     """
     if print_feet:
+        patches = load_robot(robot, "logs", options.feet).patches
         from jaxcap.robots import patches_yaml
 
-        print(patches_yaml(_robot(robot, options).patches), end="")
+        print(patches_yaml(patches), end="")
         return
     if log is None or output is None:
         raise InputError(f"{'LOG' if log is None else '--output'} is missing (expected a log and --output)")
@@ -152,7 +152,7 @@ def states(
 
 def open_log(log: Path, robot: str, options: LogOptions, strict: bool) -> "Log":
     """A log with its robot. Raises InputError for an option, a file or a layout that cannot be used."""
-    known = _robot(robot, options)
+    known = load_robot(robot, "logs", options.feet)
     from jaxcap.robots import Log, Options, layout_of, read_ground
 
     if not 0 < options.friction < np.inf:
@@ -165,12 +165,13 @@ def open_log(log: Path, robot: str, options: LogOptions, strict: bool) -> "Log":
     return Log(log, known, layout, said)
 
 
-def _robot(name: str, options: LogOptions) -> "Robot":
+def load_robot(name: str, extra: str, feet: Path | None = None) -> "Robot":
+    """A robot. extra: that which has all that the command needs, Pinocchio too. Raises InputError and MissingExtra."""
     try:
         from jaxcap.robots import load
     except ImportError as error:
-        raise MissingExtra(str(error)) from error
-    return load(name, options.feet)
+        raise MissingExtra(f'robots need Pinocchio; install it with: pip install "jaxcap[{extra}]"') from error
+    return load(name, feet)
 
 
 @contextmanager

@@ -8,7 +8,8 @@ import numpy as np
 import tyro
 from jaxtyping import Float
 
-from jaxcap.errors import InputError, MissingExtra, needs_extra
+from jaxcap.commands.states import load_robot
+from jaxcap.errors import InputError, needs_extra
 from jaxcap.files.whole_file import check_output, whole_file
 
 VIEW = """Show states of a log in 3-D, in the browser.
@@ -76,11 +77,7 @@ def view(
     with needs_extra("view", "the 3-D view"):
         import viser
     columns = read_columns(states)
-    try:
-        from jaxcap.robots import load
-    except ImportError as error:
-        raise MissingExtra(str(error)) from error
-    model = load(robot).model
+    model = load_robot(robot, "view").model
     if columns["configuration"].shape[1:] != (model.nq,):
         shape = columns["configuration"].shape[1:]
         raise InputError(f"{states}: 'configuration' has rows of shape {shape} (expected ({model.nq},), {robot}'s)")
