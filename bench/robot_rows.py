@@ -1,10 +1,10 @@
 """How fast robot states become rows to score, and how much memory a long log takes.
 
-    python -m bench.robot_rows [--rows N] [--long N]
+    python -m bench.robot_rows [--rows N] [--long 100000 1000000 10000000]
 
 Rows a second of `centroidal_states` (q, v to CoM, velocity, momentum), of `states_of` (contacts and checks too), and of
-Pinocchio called state by state; best of three, in the same run. `--long`: a log of so many rows is written as HDF5 and read
-as `jaxcap states` reads it; memory is what the process grew by.
+Pinocchio called state by state; best of three, in the same run. `--long`: logs of so many rows are written as HDF5, piece by
+piece, and `jaxcap states` is run on each in a process of its own, whose peak of memory should not grow with them.
 """
 
 import argparse
@@ -15,10 +15,13 @@ from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
-import psutil
 
+from bench.process import in_process
 from bench.robot_motion import motion
 from jaxcap import robots
+
+TIMES = 100
+"""Copies of the motion that are written at a time."""
 
 
 def best(call: Callable[[], object], rows: int, rounds: int = 3) -> float:
@@ -39,7 +42,7 @@ def by_pinocchio(model: pin.Model, q: np.ndarray, v: np.ndarray) -> None:
 
 
 def long_log(path: Path, rows: int) -> None:
-    """A log of one episode, written piece by piece in Isaac Lab's layout."""
+    """A log of one episode in Isaac Lab's layout, without velocities, written by pieces: G1 steps, stands, steps, ..."""
     import h5py
 
     one, model = motion("g1"), robots.load("g1").model
@@ -49,29 +52,26 @@ def long_log(path: Path, rows: int) -> None:
         file.attrs["DATASET_FORMAT_VERSION"] = 1
         group = file.create_group("data/demo_0/states/articulation/robot")
         for name, values in fields.items():
+            piece = np.tile(values.astype(np.float32), (TIMES, 1))
             target = group.create_dataset(name, (rows, values.shape[1]), np.float32, chunks=(4000, values.shape[1]))
-            for start in range(0, rows, len(values)):
-                target[start : start + len(values)] = values[: rows - start]
+            for start in range(0, rows, len(piece)):
+                target[start : start + len(piece)] = piece[: rows - start]
 
 
 def memory(rows: int) -> str:
-    """What reading a long log takes."""
+    """What `jaxcap states` of a long log takes, in a process of its own."""
     with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "long.hdf5"
-        long_log(path, rows)
-        process, robot = psutil.Process(), robots.load("g1")
-        before, most, seen, start = process.memory_info().rss, 0, 0, time.perf_counter()
-        for piece in robots.Log(path, robot):
-            seen += len(piece.t)
-            most = max(most, process.memory_info().rss - before)
-        return f"| a log of {seen:,} rows | {seen / (time.perf_counter() - start):,.0f} | {most / 1e6:,.0f} MB |"
+        log, states = (str(Path(folder) / name) for name in ("long.hdf5", "states.parquet"))
+        long_log(Path(log), rows)
+        cost = in_process(["states", log, "--robot", "g1", "-o", states])
+        return f"| jaxcap states, a log of {rows:,} rows | {rows / cost.seconds:,.0f} | {cost.peak_bytes / 1e6:,.0f} MB |"
 
 
 def main(arguments: list[str] | None = None) -> None:
     """Prints the table."""
     parser = argparse.ArgumentParser(description="Rows a second from (q, v) to states.")
     parser.add_argument("--rows", type=int, default=20_000)
-    parser.add_argument("--long", type=int, default=0, help="rows of a long log")
+    parser.add_argument("--long", type=int, nargs="*", default=[], help="rows of long logs")
     given = parser.parse_args(arguments)
     robot, one = robots.load("g1"), motion("g1", seconds=4.0)
     times = -(-given.rows // len(one.q))
@@ -85,8 +85,8 @@ def main(arguments: list[str] | None = None) -> None:
     }
     for name, call in calls.items():
         print(f"| {name} | {best(call, given.rows):,.0f} | |")
-    if given.long:
-        print(memory(given.long))
+    for rows in given.long:
+        print(memory(rows), flush=True)
 
 
 if __name__ == "__main__":

@@ -192,11 +192,15 @@ class _Stepper:
         findings += self._look(rows, moved, low)
         moved = smoothed(moved, options.smooth)
         v = moved if options.velocities == "differences" else _logged(rows.logged, moved)
-        if self._ground is None:
-            self._ground, found = self._estimated(rows, v)
-            findings += found
-        body = whole_body(model, self._robot.patches, self._ground, rows.configurations, v)
+        body = whole_body(
+            model, self._robot.patches, Flat(0.0) if self._ground is None else self._ground, rows.configurations, v
+        )
         soles = self._points.soles(body.feet)
+        if self._ground is None:
+            height = self._standing(soles)
+            self._ground, findings = Flat(height), [*findings, *checks.check_ground(height)]
+            body = body._replace(feet=body.feet.on_floor(height))
+            soles = soles._replace(heights=soles.heights - height)
         findings += checks.check_soles(soles.heights, soles.speeds, soles.tilts, self._points.flat)
         touching = self._touching(rows, soles, low, stop)
         owner = self._points.patch
@@ -213,15 +217,12 @@ class _Stepper:
         found = [*checks.check_limits(model, q), *checks.check_upright(q), *checks.check_jumps(moved, low)]
         return found + (checks.check_velocities(rows.logged, moved, low) if self._options.velocities == "logged" else [])
 
-    def _estimated(self, rows: Rows, v: Float[np.ndarray, "n nv"]) -> tuple[Ground, list[checks.Finding]]:
-        """Level ground where the lowest sole is, in half of the rows in which it is slow."""
-        body = whole_body(self._robot.model, self._robot.patches, Flat(0.0), rows.configurations, v)
-        soles = self._points.soles(body.feet)
+    def _standing(self, soles: Soles) -> float:
+        """Where the lowest sole is, in half of the rows in which it is slow [m]. soles: over a floor at zero."""
         lowest = soles.heights.argmin(axis=1)[:, None]
         height, speed = (np.take_along_axis(each, lowest, axis=1) for each in (soles.heights, soles.speeds))
         slow = speed < self._options.touching.slow
-        ground = float(np.median(height[slow] if slow.any() else height))
-        return Flat(ground), checks.check_ground(ground)
+        return float(np.median(height[slow] if slow.any() else height))
 
     def _touching(self, rows: Rows, soles: Soles, low: int, stop: int) -> Bool[np.ndarray, "n p"]:
         """Which patches touch, by flags or by height and speed."""

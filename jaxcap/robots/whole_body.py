@@ -35,6 +35,11 @@ class Feet(NamedTuple):
     the leg undoes what the base does; near 1 where they know nothing of each other. NaN where both hardly move.
     """
 
+    def on_floor(self, height: float) -> "Feet":
+        """The same feet over a level floor there [m], where these are over one at zero."""
+        points = np.concatenate([self.points[..., :2], np.full_like(self.points[..., 2:], height)], axis=-1)
+        return self._replace(points=points, heights=self.heights - height)
+
 
 class Soles(NamedTuple):
     """The patches, p of them, by their lowest points."""
