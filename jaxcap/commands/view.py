@@ -1,14 +1,15 @@
 """`jaxcap view`: a log in 3-D, in the browser. Importing this module needs tyro (extra `cli`), running it also viser."""
 
 import threading
+from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any
 
 import numpy as np
 import tyro
-from jaxtyping import Float
 
 from jaxcap.commands.states import load_robot
+from jaxcap.commands.view_row import scene
 from jaxcap.errors import InputError, needs_extra
 from jaxcap.files.whole_file import check_output, whole_file
 
@@ -24,39 +25,24 @@ CoM is green where the state is capturable and red where it is not, and the
 margin is told. A slider chooses the row.
 
 SHOWN
-  The robot as rods from joint to joint, its contacts with the pyramids of
-  friction, the CoM with its velocity (an arrow as long as it moves in 0.3 s).
+  The robot by its visual meshes, where they are there (else, or with --rods,
+  as rods from joint to joint), its contacts with the pyramids of friction, the
+  CoM with its velocity (an arrow as long as it moves in 0.3 s), and around it
+  the outline of all level velocities that can be stopped: inside it a level
+  arrow is capturable. The margin over the rows, and where the slider is.
 
 EXIT CODES
   0 done; 2 bad input, and one line says which; 130 interrupted.
 """
 """What `jaxcap view --help` says above the list of options; its first line also stands in `jaxcap --help`."""
 
-PYRAMID = 0.12
-"""Height of the pyramids of friction that are drawn [m]."""
-AHEAD = 0.3
-"""The arrow is the way of this time [s]."""
-GREEN, RED, BLUE, GREY = (40, 150, 60), (190, 40, 20), (0, 96, 160), (110, 110, 110)
-
-
-class Scene(NamedTuple):
-    """What is drawn of one row."""
-
-    rods: Float[np.ndarray, "b 2 3"]
-    """From each joint to the one that carries it [m]."""
-    pyramids: Float[np.ndarray, "e 2 3"]
-    """Edges of the pyramids of the contacts that touch [m]."""
-    arrow: Float[np.ndarray, "1 2 3"]
-    """The CoM, and where it is soon [m]."""
-    capturable: bool | None
-    """None where it was not scored."""
-    words: str
-
 
 def view(
     states: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="STATES")],
     *,
     robot: Annotated[str, tyro.conf.arg(metavar="ROBOT")],
+    rods: bool = False,
+    no_area: bool = False,
     port: int = 8080,
     save: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
     force: bool = False,
@@ -68,47 +54,53 @@ def view(
     Args:
         states: Parquet file of states or scores.
         robot: Name of the robot, or its URDF or MJCF file.
+        rods: The robot as rods from joint to joint, not by its meshes.
+        no_area: Without the velocity area, which takes a moment a row.
         port: Where the browser finds it, on this machine alone.
-        save: Write the first row as a scene of viser (.viser) and end.
+        save: Write the rows as a film of viser (.viser) and end.
         force: Overwrite FILE if it exists.
     """
     if save is not None:
         check_output(save, force=force, extensions=(".viser",), inputs=(states,))
     with needs_extra("view", "the 3-D view"):
         import viser
+
+        from jaxcap.commands.view_window import Window, controls
     columns = read_columns(states)
     model = load_robot(robot, "view").model
     if columns["configuration"].shape[1:] != (model.nq,):
         shape = columns["configuration"].shape[1:]
         raise InputError(f"{states}: 'configuration' has rows of shape {shape} (expected ({model.nq},), {robot}'s)")
+    from jaxcap.robots import looks
+
     server = viser.ViserServer(host="127.0.0.1", port=port, verbose=False)
     try:
         recorder = server.get_scene_serializer() if save is not None else None
-        server.scene.set_up_direction("+z")
-        server.scene.add_grid("/ground", width=4.0, height=4.0)
-        draw(server, scene(model, columns, 0))
+        window = Window(server, () if rods else looks(robot, model))
+
+        def show(row: int) -> str:
+            one = scene(model, columns, row, not no_area)
+            window.draw(one)
+            return one.words
+
         if save is not None and recorder is not None:
+            _play(recorder, columns.get("t"), len(columns["com"]), show)
             with whole_file(save, force=force) as handle:
                 handle.write(recorder.serialize())
             return
-        _slider(server, model, columns)
+        controls(server, len(columns["com"]), columns.get("margin"), show)
         print(f"http://localhost:{port}   (Ctrl-C ends)", flush=True)
         threading.Event().wait()
     finally:
         server.stop()
 
 
-def _slider(server: Any, model: Any, columns: dict[str, np.ndarray]) -> None:
-    """The row that is shown, and what there is to say about it."""
-    slider = server.gui.add_slider("row", min=0, max=max(1, len(columns["com"]) - 1), step=1, initial_value=0)
-    words = server.gui.add_markdown(scene(model, columns, 0).words)
-
-    def show(_event: Any) -> None:
-        one = scene(model, columns, min(int(slider.value), len(columns["com"]) - 1))
-        draw(server, one)
-        words.content = one.words
-
-    slider.on_update(show)
+def _play(recorder: Any, times: np.ndarray | None, rows: int, show: Callable[[int], str]) -> None:
+    """Draws all rows, one after the other, at their times; where the next episode begins, time goes on."""
+    for row in range(rows):
+        show(row)
+        if times is not None and row + 1 < rows:
+            recorder.insert_sleep(max(0.0, float(times[row + 1] - times[row])))
 
 
 def read_columns(path: Path) -> dict[str, np.ndarray]:
@@ -128,45 +120,3 @@ def read_columns(path: Path) -> dict[str, np.ndarray]:
     if not table.num_rows:
         raise InputError(f"{path}: no rows")
     return {name: np.array(table[name].to_pylist()) for name in table.column_names}
-
-
-def scene(model: Any, columns: dict[str, np.ndarray], row: int) -> Scene:
-    """What is drawn of a row.
-
-    Args:
-        model: Pinocchio's.
-        columns: From `read_columns`.
-        row: Its number.
-    """
-    from jaxcap.robots.tree import links
-
-    q = columns["configuration"][row : row + 1]
-    found = links(model, q, np.zeros((1, model.nv)))
-    rods = [(found[model.parents[i]].position[:, 0], found[i].position[:, 0]) for i in range(2, model.njoints)]
-    com, velocity = columns["com"][row], columns["com_velocity"][row]
-    capturable = bool(columns["capturable"][row]) if "capturable" in columns else None
-    words = f"{columns['t'][row]:.2f} s" if "t" in columns else f"row {row}"
-    if "margin" in columns:
-        words += f", margin {columns['margin'][row]:+.2f} m/s"
-    return Scene(np.array(rods), _pyramids(columns, row), np.array([[com, com + AHEAD * velocity]]), capturable, words)
-
-
-def _pyramids(columns: dict[str, np.ndarray], row: int) -> Float[np.ndarray, "e 2 3"]:
-    """Four edges of each contact that touches, along the corners of its cone."""
-    touching = columns["contact_mask"][row].astype(bool)
-    points, frames = columns["contact_points"][row][touching], columns["contact_frames"][row][touching]
-    slope = columns["contact_friction"][row][touching] / np.sqrt(2)
-    corners = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]])
-    local = np.concatenate([corners * slope[:, None, None], np.ones((len(points), 4, 1))], axis=2) * PYRAMID
-    ends = points[:, None] + np.einsum("kij,kcj->kci", frames, local)
-    return np.stack([np.broadcast_to(points[:, None], ends.shape), ends], axis=2).reshape(-1, 2, 3)
-
-
-def draw(server: Any, one: Scene) -> None:
-    """Draws a row, in place of the one before."""
-    color = {None: BLUE, True: GREEN, False: RED}[one.capturable]
-    with server.atomic():
-        server.scene.add_line_segments("/robot", one.rods, GREY, thickness=0.03)
-        server.scene.add_line_segments("/pyramids", one.pyramids, BLUE, thickness=0.004, visible=bool(len(one.pyramids)))
-        server.scene.add_icosphere("/com", 0.04, color, position=one.arrow[0, 0])
-        server.scene.add_arrows("/velocity", one.arrow, color)

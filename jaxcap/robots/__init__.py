@@ -23,6 +23,8 @@ from jaxcap.robots.logs import Options as Options
 from jaxcap.robots.logs import States as States
 from jaxcap.robots.logs import states as states
 from jaxcap.robots.logs import states_of as states_of
+from jaxcap.robots.looks import Look as Look
+from jaxcap.robots.looks import looks as looks
 from jaxcap.robots.models import ROBOTS as ROBOTS
 from jaxcap.robots.models import Robot as Robot
 from jaxcap.robots.models import anymal as anymal

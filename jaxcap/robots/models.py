@@ -2,7 +2,7 @@
 
 import os
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 from typing import NamedTuple
@@ -84,7 +84,7 @@ def load(name_or_path: PathLike, feet: PathLike | None = None) -> Robot:
         InputError: For an unknown name, and for a file that is missing or that Pinocchio cannot read.
     """
     text = os.fspath(name_or_path)
-    robot = _named(text) if text in ROBOTS else _from_file(Path(text))
+    robot = _named(text) if text in ROBOTS else _from_file(file_of(text))
     return robot if feet is None else robot._replace(patches=read_patches(feet, robot.model))
 
 
@@ -102,15 +102,23 @@ def look_for_patches(name: str) -> dict[str, ContactPatch]:
     return find_patches(robot.model, robot.collisions, robot.postures.get(ROBOTS[name].standing, pin.neutral(robot.model)))
 
 
-def _from_file(path: Path) -> Robot:
-    """A robot from a file, without locked joints."""
-    kind = path.suffix.lower()
-    if kind not in (".urdf", ".xml", ".mjcf"):
-        raise InputError(f"robot {os.fspath(path)!r} is unknown (expected {', '.join(ROBOTS)}, or a .urdf or .xml file)")
+def file_of(name_or_path: PathLike) -> Path:
+    """The URDF or MJCF file of a robot. Raises InputError for an unknown name, and for a file that is not there."""
+    text = os.fspath(name_or_path)
+    if text in ROBOTS:
+        return _shared() / "example-robot-data" / "robots" / ROBOTS[text].folder / ROBOTS[text].urdf
+    path = Path(text)
+    if path.suffix.lower() not in (".urdf", ".xml", ".mjcf"):
+        raise InputError(f"robot {text!r} is unknown (expected {', '.join(ROBOTS)}, or a .urdf or .xml file)")
     if not path.is_file():
         raise InputError(f"{path}: no such file")
+    return path
+
+
+def _from_file(path: Path) -> Robot:
+    """A robot from a file, without locked joints."""
     try:
-        model, shapes = _urdf(path) if kind == ".urdf" else _mjcf(path)
+        model, shapes = _urdf(path) if path.suffix.lower() == ".urdf" else mjcf_shapes(path, pin.GeometryType.COLLISION)
     except (ValueError, RuntimeError) as error:
         raise InputError(f"{path}: Pinocchio cannot read it: {error}") from error
     if model.njoints < 2 or model.joints[1].nq != 7:
@@ -119,21 +127,39 @@ def _from_file(path: Path) -> Robot:
 
 
 def _urdf(path: Path) -> tuple[Model, pin.GeometryModel]:
-    """Model, and the collision shapes of its outermost links; those whose mesh is not there are left out."""
+    """Model, and the collision shapes of its outermost links."""
     model = pin.buildModelFromUrdf(os.fspath(path), pin.JointModelFreeFlyer())
+    return model, urdf_shapes(path, model, pin.GeometryType.COLLISION, lambda link: _is_outermost(model, link))
+
+
+def urdf_shapes(
+    path: Path, model: Model, kind: pin.GeometryType, wanted: Callable[[str], bool] = lambda link: True
+) -> pin.GeometryModel:
+    """Shapes of the links of a URDF file; those whose mesh is not there, in a folder above, are left out.
+
+    Args:
+        path: The file.
+        model: What Pinocchio made of it, no joint locked.
+        kind: Of the shapes, to touch or to look at.
+        wanted: Whose shapes, by the name of a link.
+
+    Raises:
+        ValueError: For a file that is no XML.
+    """
     folders = [folder for folder in path.resolve().parents if folder.parent != folder]
     try:
         tree = ElementTree.parse(path)
     except ElementTree.ParseError as error:
         raise ValueError(str(error)) from error
+    tag = "collision" if kind == pin.GeometryType.COLLISION else "visual"
     for link in tree.iter("link"):
-        outer = _is_outermost(model, link.get("name", ""))
-        for collision in link.findall("collision"):
-            mesh = collision.find("geometry/mesh")
-            if not outer or (mesh is not None and not any(_has(folder, mesh.get("filename", "")) for folder in folders)):
-                link.remove(collision)
+        for shape in link.findall(tag):
+            mesh = shape.find("geometry/mesh")
+            there = mesh is None or any(_has(folder, mesh.get("filename", "")) for folder in folders)
+            if not there or not wanted(link.get("name", "")):
+                link.remove(shape)
     text, known = ElementTree.tostring(tree.getroot(), encoding="unicode"), [os.fspath(folder) for folder in folders]
-    return model, pin.buildGeomFromUrdfString(model, text, pin.GeometryType.COLLISION, package_dirs=known)
+    return pin.buildGeomFromUrdfString(model, text, kind, package_dirs=known)
 
 
 def _is_outermost(model: Model, link: str) -> bool:
@@ -147,8 +173,8 @@ def _has(folder: Path, address: str) -> bool:
     return (folder / name).is_file()
 
 
-def _mjcf(path: Path) -> tuple[Model, pin.GeometryModel]:
-    """Model and collision shapes of a MuJoCo file; with a floating base even where the file has none."""
+def mjcf_shapes(path: Path, kind: pin.GeometryType) -> tuple[Model, pin.GeometryModel]:
+    """Model and shapes of a MuJoCo file; with a floating base even where the file has none."""
     model = pin.buildModelFromMJCF(os.fspath(path))
     if isinstance(model, tuple):  # with constraints, some versions return them beside the model
         model = model[0]
@@ -156,7 +182,7 @@ def _mjcf(path: Path) -> tuple[Model, pin.GeometryModel]:
         model = pin.buildModelFromMJCF(os.fspath(path), pin.JointModelFreeFlyer())
         model = model[0] if isinstance(model, tuple) else model
     try:
-        return model, pin.buildGeomFromMJCF(model, os.fspath(path), pin.GeometryType.COLLISION)
+        return model, pin.buildGeomFromMJCF(model, os.fspath(path), kind)
     except (ValueError, RuntimeError):
         return model, pin.GeometryModel()  # a mesh is missing: the feet have to be given
 
@@ -216,9 +242,14 @@ def anymal(collisions: bool = False) -> Robot:
     return _example(_ANYMAL, collisions)
 
 
+def _shared() -> Path:
+    """Where packages put their data."""
+    return Path(pin.__file__).parents[4] / "share"  # <prefix>/lib/python3.x/site-packages/pinocchio/__init__.py
+
+
 def _example(known: Known, collisions: bool) -> Robot:
     """A robot of the package example-robot-data, which installs into the same prefix as Pinocchio."""
-    share = Path(pin.__file__).parents[4] / "share"  # <prefix>/lib/python3.x/site-packages/pinocchio/__init__.py
+    share = _shared()
     root = share / "example-robot-data" / "robots" / known.folder
     urdf, srdf = root / known.urdf, known.srdf and root / known.srdf
     if not urdf.is_file():
