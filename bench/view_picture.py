@@ -2,7 +2,7 @@
 
     python -m bench.view_picture [-o notebooks/view.png]
 
-G1 stands on one foot while it steps in place: its meshes, contacts with their pyramids of friction, the CoM with its velocity,
+G1 steps in place: its meshes, contacts with their pyramids of friction, the CoM with its velocity,
 and the outline of the level velocities that can be stopped, as `jaxcap view` shows them; below, the margin over time.
 """
 
@@ -21,7 +21,7 @@ from jaxcap.commands.view_row import AHEAD, Scene, scene
 
 LIGHT = np.array([0.4, -0.5, 0.77])
 """Where it comes from."""
-AT = 1.98
+AT = 1.62
 """The row that is drawn [s]."""
 
 
@@ -52,7 +52,7 @@ def draw(axes, one: Scene, meshes: tuple[robots.Look, ...]) -> None:
     axes.plot(*start[:, None], "o", color=color, markersize=9, zorder=1e7)
     middle = one.positions[1]
     axes.set(xlim=middle[0] + np.array([-0.4, 0.4]), ylim=middle[1] + np.array([-0.4, 0.4]), zlim=(0, 1.35))
-    axes.set_box_aspect((0.8, 0.8, 1.35), zoom=1.55)
+    axes.set_box_aspect((0.8, 0.8, 1.35), zoom=1.2)
     axes.view_init(elev=18, azim=-38)
     axes.set_axis_off()
 
@@ -68,7 +68,7 @@ def main(arguments: list[str] | None = None) -> None:
     columns = states._asdict() | {name: np.asarray(getattr(scores, name)) for name in ("capturable", "margin")}
     row = int(np.abs(one.time - AT).argmin())
     drawn = scene(robot.model, columns, row, area=True)
-    figure = Figure(figsize=(7.5, 6.0), layout="constrained")
+    figure = Figure(figsize=(7.0, 6.4), layout="constrained")
     FigureCanvasAgg(figure)
     grid = figure.add_gridspec(2, 1, height_ratios=(4.2, 1))
     draw(figure.add_subplot(grid[0], projection="3d", computed_zorder=False), drawn, robots.looks("g1", robot.model))

@@ -166,6 +166,14 @@ def test_shapes_without_meshes(tmp_path):
     np.testing.assert_allclose(np.ptp(look.vertices, axis=0), [0.2, 0.2, 0.8], atol=0.01)
 
 
+@pytest.mark.slow
+def test_the_picture_of_the_readme(tmp_path):
+    from bench.view_picture import main as draw
+
+    draw(["-o", str(tmp_path / "view.png")])
+    assert (tmp_path / "view.png").read_bytes()[1:4] == b"PNG"
+
+
 def test_what_is_refused(states, tmp_path, capsys):
     assert main(["view", str(states), "--robot", "go1"]) == 2
     assert "'configuration' has rows of shape (36,)" in capsys.readouterr().err
