@@ -192,7 +192,8 @@ def lerobot(path: Path, one: Motion, model: pin.Model, version: str = "v3.0") ->
         pq.write_table(pa.concat_tables(tables), path / "data/chunk-000/file-000.parquet")
 
 
-def ros2(path: Path, one: Motion, model: pin.Model) -> None:
+def ros2(path: Path, one: Motion, model: pin.Model, late: float = 0.0, states: slice = slice(None)) -> None:
+    """late: how much later than the joint states of its row an odometry is stamped [s]. states: rows that have some."""
     from mcap_ros2.writer import Writer
 
     def definition(top: str, parts: list[str]) -> str:
@@ -205,24 +206,28 @@ def ros2(path: Path, one: Motion, model: pin.Model) -> None:
             "sensor_msgs/msg/JointState", definition(JOINT_STATE, ["std_msgs/Header", "builtin_interfaces/Time"])
         )
         base = writer.register_msgdef("nav_msgs/msg/Odometry", definition(ODOMETRY, list(PARTS)))
+        stamped = lambda now: {
+            "stamp": {"sec": 1_700_000_000 + round(now * 1e9) // 10**9, "nanosec": round(now * 1e9) % 10**9},
+            "frame_id": "odom",
+        }
         for i, now in enumerate(one.time):
-            nanoseconds = round(now * 1e9)
-            header = {
-                "stamp": {"sec": 1_700_000_000 + nanoseconds // 10**9, "nanosec": nanoseconds % 10**9},
-                "frame_id": "odom",
-            }
             said = {
-                "header": header,
+                "header": stamped(now),
                 "name": names(model),
                 "position": one.q[i, 7:].tolist(),
                 "velocity": one.v[i, 6:].tolist(),
             }
             pose = {"position": vector(one.q[i, :3]), "orientation": vector(one.q[i, 3:7])}
             twist = {"linear": vector(one.v[i, :3]), "angular": vector(one.v[i, 3:6])}
-            odometry = {"header": header, "child_frame_id": "base", "pose": {"pose": pose, "covariance": [0.0] * 36}}
+            odometry = {
+                "header": stamped(now + late),
+                "child_frame_id": "base",
+                "pose": {"pose": pose, "covariance": [0.0] * 36},
+            }
             odometry["twist"] = {"twist": twist, "covariance": [0.0] * 36}
-            writer.write_message("/odom", base, odometry, log_time=nanoseconds)
-            writer.write_message("/joint_states", joints, said | {"effort": []}, log_time=nanoseconds)
+            writer.write_message("/odom", base, odometry, log_time=round(now * 1e9))
+            if i in range(len(one.time))[states]:
+                writer.write_message("/joint_states", joints, said | {"effort": []}, log_time=round(now * 1e9))
         writer.finish()
 
 

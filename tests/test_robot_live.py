@@ -8,7 +8,7 @@ import pytest
 pytest.importorskip("pinocchio")
 
 from jaxcap.errors import InputError
-from jaxcap.robots import from_mujoco
+from jaxcap.robots import from_mujoco, states
 
 BLOCK = """<mujoco><option timestep="0.002"/><worldbody>{before}<body name="block" pos="0 0 .099"><freejoint/>
 <geom type="box" size=".2 .1 .1" mass="3"/><body name="arm" pos="0 0 .1"><joint type="hinge" axis="0 1 0"/>
@@ -69,6 +69,25 @@ def test_a_trajectory_is_its_states(mujoco):
         from_mujoco(model, data, trajectory=row)
     with pytest.raises(InputError, match="body 'tail' is not there"):
         from_mujoco(model, data, "tail")
+
+
+def test_a_log_of_mujoco_gives_what_mujoco_says_itself(mujoco, tmp_path):
+    """One MJCF file, read by MuJoCo and by Pinocchio: conventions of qpos and qvel held against MuJoCo's own states."""
+    model, data = simulated(mujoco, before=FLOOR)
+    (tmp_path / "block.xml").write_text(BLOCK.format(before=FLOOR, after=""))
+    times, rows = [], []
+    for _ in range(40):
+        times.append(data.time)
+        rows.append(np.r_[data.qpos, data.qvel])
+        mujoco.mj_step(model, data)
+    rows = np.array(rows)
+    np.savez(tmp_path / "log.npz", time=times, qpos=rows[:, : model.nq], qvel=rows[:, model.nq :])
+    live = from_mujoco(model, data, trajectory=rows, forward=mujoco.mj_forward)
+    found = states(tmp_path / "log.npz", tmp_path / "block.xml", ground=0.0)
+    np.testing.assert_allclose(found.com, live.com, atol=1e-9)
+    np.testing.assert_allclose(found.com_velocity, live.com_velocity, atol=1e-9)
+    assert found.contact_mask[0].sum() == live.contacts.mask[0].sum() == 4
+    np.testing.assert_allclose(np.sort(found.contact_points[0, :, 0]), np.sort(live.contacts.points[0, :, 0]), atol=1e-2)
 
 
 def test_without_mujoco():

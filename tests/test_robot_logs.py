@@ -18,7 +18,7 @@ import jaxcap  # noqa: E402
 from bench.robot_motion import Motion, motion  # noqa: E402
 from jaxcap import robots  # noqa: E402
 from jaxcap.errors import InputError  # noqa: E402
-from jaxcap.robots.differences import differences  # noqa: E402
+from jaxcap.robots.differences import differences, smoothed  # noqa: E402
 from jaxcap.robots.logs import Log, Options, States  # noqa: E402
 from jaxcap.robots.touch import Touching, decided, lasting  # noqa: E402
 
@@ -146,6 +146,62 @@ def test_lerobot_with_a_file_an_episode_and_one_of_them_damaged(g1, stepping, tm
     assert "episode_000001.parquet: cannot be read as parquet" in log.notes[0]
 
 
+def test_lerobot_of_many_files_with_many_episodes_of_which_some_are_bad(g1, stepping, tmp_path):
+    """v3: two files of two episodes; in one time goes back, one has a number that is none."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    path = tmp_path / "set"
+    robot_logs.lerobot(path, stepping, g1.model)
+    first = path / "data/chunk-000/file-000.parquet"
+    table, rows = pq.read_table(first), len(stepping.time)
+    second = table.set_column(
+        table.schema.get_field_index("episode_index"), "episode_index", pa.array([2] * rows + [3] * rows)
+    )
+    time, pose = second["timestamp"].to_numpy().copy(), second["observation.base_position"].to_pylist()
+    time[7], pose[rows + 9][2] = time[6], np.nan
+    second = second.set_column(second.schema.get_field_index("timestamp"), "timestamp", pa.array(time))
+    lists = pa.FixedSizeListArray.from_arrays(np.ravel(pose), 3)
+    second = second.set_column(
+        second.schema.get_field_index("observation.base_position"), "observation.base_position", lists
+    )
+    (path / "data/chunk-001").mkdir()
+    pq.write_table(second, path / "data/chunk-001/file-000.parquet")
+    log = Log(path, g1)
+    found = list(log)
+    assert [piece.episode[0] for piece in found] == ["0", "1"] and log.episodes == 2
+    for piece in found:
+        assert_same(piece, robots.states_of(g1, stepping.time, stepping.q))
+    assert "chunk-001/file-000.parquet: 2: time[7] = 0.12 s is not later than the row before" in log.notes[0]
+    assert "(and in 1 more episodes)" in log.notes[0]
+    table = second.set_column(second.schema.get_field_index("timestamp"), "timestamp", pa.array([*stepping.time] * 2))
+    pq.write_table(table, path / "data/chunk-001/file-000.parquet")
+    log = Log(path, g1)
+    assert [piece.episode[0] for piece in log] == ["0", "1", "2"]
+    assert "3: base_position[9, 2] = nan (expected a finite number)" in log.notes[0]
+
+
+def test_a_bag_of_several_files_and_odometry_at_times_of_its_own(g1, stepping, tmp_path):
+    """Between two odometries a pose is interpolated; a joint state before the first is left out, and each file is an
+    episode.
+    """
+    bags, step = tmp_path / "bags", stepping.time[1]
+    bags.mkdir()
+    for i in range(2):
+        robot_logs.ros2(bags / f"bag_{i}.mcap", stepping, g1.model, late=step / 2)
+    log = Log(bags, g1)
+    found = list(log)
+    assert [piece.episode[0] for piece in found] == ["bag_0", "bag_1"] and log.episodes == 2
+    base = lambda piece: piece.configuration[:, :3]
+    for piece in found:
+        assert len(piece.t) == len(stepping.time) - 1
+        np.testing.assert_allclose(base(piece), (stepping.q[1:, :3] + stepping.q[:-1, :3]) / 2, atol=1e-9)
+        np.testing.assert_allclose(piece.configuration[:, 7:], stepping.q[1:, 7:], atol=1e-12)
+    robot_logs.ros2(tmp_path / "none.mcap", stepping, g1.model, states=slice(0))
+    with pytest.raises(InputError, match=r"none\.mcap: no message of type JointState \(expected one topic of it\)"):
+        Log(tmp_path / "none.mcap", g1)
+
+
 def test_where_pieces_are_cut_does_not_show(g1, stepping, tmp_path, monkeypatch):
     path = tmp_path / "log.npz"
     LAYOUTS["mujoco"].write(path, stepping, g1.model)
@@ -176,6 +232,16 @@ def test_differences_are_of_second_order_inside(g1):
         return np.abs(differences(model, time - time[4], q)[4, 6:] - exact[0, 6:]).max()
 
     assert 3.5 < errors(0.04) / errors(0.02) < 6
+
+
+def test_smoothing_keeps_a_cubic_and_quiets_noise():
+    time, rng = np.arange(60) / 50, np.random.default_rng(0)
+    cubic = np.stack([1 - time + 3 * time**2, time**3], axis=1)
+    np.testing.assert_allclose(smoothed(cubic, 9), cubic, atol=1e-12)
+    noise = 0.1 * rng.normal(size=cubic.shape)
+    assert np.std(smoothed(cubic + noise, 15) - cubic) < 0.5 * np.std(noise)
+    assert smoothed(cubic, 0) is cubic and smoothed(cubic[:3], 9) is not None  # too few rows to be filtered
+    np.testing.assert_array_equal(smoothed(cubic[:3], 9), cubic[:3])
 
 
 def test_an_own_layout_of_ten_lines(g1, stepping, tmp_path):
@@ -255,6 +321,25 @@ def test_grounds(g1, stepping, tmp_path):
         robots.read_ground(tmp_path / "bad.yaml" if (tmp_path / "bad.yaml").write_text("{planes: [{point: 3}]}") else "")
 
 
+def test_on_a_slope_contacts_lie_on_it(g1, stepping, tmp_path):
+    normal = np.array([-0.1, 0, 1]) / np.hypot(0.1, 1)
+    (tmp_path / "plane.yaml").write_text(f"planes: [{{point: [0, 0, 0], normal: {normal.tolist()}}}]")
+    (tmp_path / "field.yaml").write_text("{origin: [-1, -1], step: [2, 2], heights: [[-0.1, -0.1], [0.1, 0.1]]}")
+    turn = pin.SE3(pin.rpy.rpyToMatrix(0, -np.arctan(0.1), 0), np.zeros(3))
+    tilted = stepping.q.copy()
+    for row in tilted:
+        row[:7] = pin.SE3ToXYZQUAT(turn * pin.XYZQUATToSE3(row[:7]))
+    level = robots.states_of(g1, stepping.time, stepping.q, ground=0.0)
+    for name in ("plane", "field"):
+        found = robots.states_of(g1, stepping.time, tilted, ground=tmp_path / f"{name}.yaml")
+        np.testing.assert_array_equal(found.contact_mask, level.contact_mask)
+        np.testing.assert_allclose(
+            found.contact_frames[..., 2], np.broadcast_to(normal, found.contact_points.shape), atol=1e-9
+        )
+        np.testing.assert_allclose(found.contact_points @ normal, 0, atol=1e-9)
+        np.testing.assert_allclose(found.com, level.com @ turn.rotation.T, atol=1e-9)
+
+
 def test_a_pickle_is_not_executed(tmp_path, g1):
     class Evil:
         def __reduce__(self):
@@ -309,10 +394,12 @@ def test_files_that_are_refused(g1, stepping, tmp_path):
         ("named_parquet", "parquet"),
         ("gmr", "pickle"),
         ("isaac_amp", "npz"),
+        ("tienkung", "json"),
+        ("lafan1_g1", "csv"),
     ):
         path = tmp_path / LAYOUTS[name].file
         LAYOUTS[name].write(path, stepping, g1.model)
-        path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+        path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])  # cut off in the middle
         with refused(0, rf"{path.name}: cannot be read as {kind}"):
             list(Log(path, g1))
 
@@ -356,6 +443,31 @@ def test_one_bad_episode_does_not_cost_the_others(g1, stepping, tmp_path):
     assert log.notes == (f"{path}: data/demo_0: base_position[5, 0] = nan (expected a finite number)",)
     with pytest.raises(InputError, match=r"base_position\[5, 0\]"):
         list(Log(path, g1, None, Options(strict=True)))
+
+
+def test_an_empty_episode_and_one_of_another_shape_do_not_cost_the_others(g1, stepping, tmp_path):
+    h5py = pytest.importorskip("h5py")
+    path = tmp_path / "log.hdf5"
+    LAYOUTS["isaac_lab"].write(path, stepping, g1.model)
+    with h5py.File(path, "a") as file:
+        for number, rows in ((2, 0), (3, 4)):
+            robot = file.create_group(f"data/demo_{number}/states/articulation/robot")
+            for name, width in (("root_pose", 7), ("root_velocity", 6), ("joint_position", 28), ("joint_velocity", 28)):
+                robot[name] = np.ones((rows, width + (rows == 0 and width == 28)))
+    log = Log(path, g1)
+    assert [piece.episode[0] for piece in log] == ["data/demo_0", "data/demo_1"]
+    assert f"{path}: data/demo_2: no rows" in log.notes[0]
+
+
+def test_joints_without_names_are_refused(g1, stepping, tmp_path):
+    path = tmp_path / "set"
+    robot_logs.lerobot(path, stepping, g1.model)
+    about = path / "meta/info.json"
+    said = json.loads(about.read_text())
+    said["features"]["observation.joint_position"]["names"] = None
+    about.write_text(json.dumps(said))
+    with pytest.raises(InputError, match=r"joint_names: no field 'observation.joint_position names' that holds names"):
+        list(Log(path, g1))
 
 
 LAYOUT = (

@@ -2,7 +2,8 @@
 
 Begin with `models` (a robot by name or file) and `logs` (a log and its robot in, rows to score out), which goes through
 `layouts` (which field is what), `readers` (bytes to fields), `motion` (conventions undone), `checks`, `touch` (contacts) and
-`whole_body` (what is scored of a robot state). May import `numerics`, `contacts` and `files`.
+`whole_body` (what is scored of a robot state). `live` is a running simulation, `appearance` is for pictures. May import
+`numerics`, `contacts` and `files`.
 """
 
 try:
@@ -10,6 +11,8 @@ try:
 except ImportError as error:
     raise ImportError('jaxcap.robots needs Pinocchio: pip install "jaxcap[robots]"') from error
 
+from jaxcap.robots.appearance import Look as Look
+from jaxcap.robots.appearance import looks as looks
 from jaxcap.robots.centroidal import CentroidalStates as CentroidalStates
 from jaxcap.robots.centroidal import centroidal_states as centroidal_states
 from jaxcap.robots.centroidal import convention_error as convention_error
@@ -23,8 +26,6 @@ from jaxcap.robots.logs import Options as Options
 from jaxcap.robots.logs import States as States
 from jaxcap.robots.logs import states as states
 from jaxcap.robots.logs import states_of as states_of
-from jaxcap.robots.looks import Look as Look
-from jaxcap.robots.looks import looks as looks
 from jaxcap.robots.models import ROBOTS as ROBOTS
 from jaxcap.robots.models import Robot as Robot
 from jaxcap.robots.models import anymal as anymal

@@ -155,7 +155,7 @@ class Log:
         for start in range(0, source.rows, PIECE):
             states, findings = stepper.step(start, min(start + PIECE, source.rows))
             self._say(source, findings)
-            yield states._replace(episode=np.full(len(states.t), episode.name or self.path.stem))
+            yield states._replace(episode=np.full(len(states.t), episode.name or episode.path.stem))
 
     def _say(self, source: Source, findings: list[checks.Finding]) -> None:
         """Notes what was found, once an episode; raises InputError for what is refused."""
