@@ -34,7 +34,7 @@ def columns(path):
 def test_states_are_written_whole_with_what_was_read_as_what(log, tmp_path, capsys, extension):
     output = tmp_path / f"states.{extension}"
     assert main(["states", str(log), "--robot", "g1", "-o", str(output), "--friction", "0.7"]) == 0
-    assert "60 rows of 1 episodes, layout lafan1_g1" in capsys.readouterr().out
+    assert "60 rows of 1 episode, layout lafan1_g1" in capsys.readouterr().out
     if extension == "npz":
         with np.load(output) as file:
             found, said = dict(file), json.loads(str(file["metadata"]))

@@ -173,7 +173,7 @@ def test_lerobot_of_many_files_with_many_episodes_of_which_some_are_bad(g1, step
     for piece in found:
         assert_same(piece, robots.states_of(g1, stepping.time, stepping.q))
     assert "chunk-001/file-000.parquet: 2: time[7] = 0.12 s is not later than the row before" in log.notes[0]
-    assert "(and in 1 more episodes)" in log.notes[0]
+    assert "(and in 1 more episode)" in log.notes[0]
     table = second.set_column(second.schema.get_field_index("timestamp"), "timestamp", pa.array([*stepping.time] * 2))
     pq.write_table(table, path / "data/chunk-001/file-000.parquet")
     log = Log(path, g1)

@@ -147,7 +147,8 @@ def states(
     rows = write_states(opened, output, force=force)
     for note in opened.notes:
         print(f"note: {note}", file=sys.stderr)
-    print(f"{rows} rows of {opened.episodes} episodes, layout {opened.layout.name}: {output}")
+    episodes = "1 episode" if opened.episodes == 1 else f"{opened.episodes} episodes"
+    print(f"{rows} rows of {episodes}, layout {opened.layout.name}: {output}")
 
 
 def open_log(log: Path, robot: str, options: LogOptions, strict: bool) -> "Log":

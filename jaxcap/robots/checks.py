@@ -266,7 +266,8 @@ def _against(what: str, logged: np.ndarray | None, differences: np.ndarray, unit
     if len(glitches):
         row = int(glitches[0])
         words = f"{what}[{start + row}] is {error[row]:.2g} {unit} from the difference of the positions"
-        return [Finding(what, f"{words}, and so are {len(glitches)} rows (--velocities differences does without)")]
+        often = f"{len(glitches)} such row{'s' if len(glitches) > 1 else ''}"
+        return [Finding(what, f"{words} ({often}; --velocities differences does without)")]
     return []
 
 

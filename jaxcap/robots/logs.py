@@ -104,7 +104,7 @@ class Log:
     def notes(self) -> tuple[str, ...]:
         """A line for each kind of thing that was found, with the first episode that it was found in."""
         return tuple(
-            found[0] + (f" (and in {len(found) - 1} more episodes)" if len(found) > 1 else "")
+            found[0] + (f" (and in {len(found) - 1} more episode{'s' if len(found) > 2 else ''})" if len(found) > 1 else "")
             for found in self._found.values()
         )
 
