@@ -12,11 +12,11 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxcap.contacts.cone import CentroidalCone
-from jaxcap.numerics.guarded import ratio, tolerances
+from jaxcap.numerics.guarded import ratio, snapped, without_noise
 from jaxcap.one_state.boundary import Boundary
 from jaxcap.one_state.polygon import Survey
 from jaxcap.one_state.walk import Line, Next, moved, walk
-from jaxcap.one_state.wrench_line import wrench_line
+from jaxcap.one_state.wrench_line import WrenchLine, wrench_line
 
 
 class Polygon(NamedTuple):
@@ -31,6 +31,8 @@ class Polygon(NamedTuple):
     """[1/s^2]"""
     bound: Float[Array, "m *n"]
     """[m/s^2]"""
+    line: WrenchLine
+    """What the rows were made of."""
     top: tuple[Float[Array, "*n"], Float[Array, "*n"]]
     """The largest that the two coefficients can be."""
     size: Float[Array, "*n"]
@@ -61,23 +63,26 @@ class Polygon(NamedTuple):
         """Static region, and polygon at alpha = 0. near: not used, faces are surveyed as fast from anywhere."""
         on_acceleration, on_alpha, bound = self[:3]
         static, values = jax.lax.optimization_barrier((ratio(bound, on_alpha), ratio(bound, on_acceleration)))
-        # Rows without a coefficient hold or they do not: those that do not leave nothing.
-        without = lambda coefficient: jnp.where((coefficient == 0) & (bound < 0), jnp.inf, -jnp.inf)
-        s_min = jnp.max(jnp.where(on_alpha < 0, static, without(on_alpha)), axis=0)
+        behind = jnp.max(jnp.where(on_alpha < 0, static, -jnp.inf), axis=0)
         # The end ahead, by what makes it: a row that bounds the acceleration from above, or another.
         above, other = (on_alpha > 0) & (on_acceleration > 0), (on_alpha > 0) & (on_acceleration <= 0)
         s_above, s_other = (jnp.min(jnp.where(rows, static, jnp.inf), axis=0) for rows in (above, other))
-        s_max = jnp.minimum(s_above, s_other)
-        lowest = jnp.max(jnp.where(on_acceleration < 0, values, without(on_acceleration)), axis=0)
+        ahead = jnp.minimum(s_above, s_other)
+        lowest = jnp.max(jnp.where(on_acceleration < 0, values, -jnp.inf), axis=0)
         highest = jnp.min(jnp.where(on_acceleration > 0, values, jnp.inf), axis=0)
+        # Ends that meet, but for rounding, are one place. Whether they do, rows without a coefficient included, the rows say.
+        place, acceleration = _between(behind, ahead), _between(lowest, highest)
+        missed = lambda coefficient, value, slack: jnp.any(coefficient * value > bound + slack, axis=0)
+        standing = ~missed(on_alpha, place, self.line.slack_at(0.0))
+        feasible = ~missed(on_acceleration, acceleration, self.line.slack_at(acceleration))
         return Survey(
-            s_min=s_min,
-            s_max=s_max,
-            standing=(s_min <= s_max) & (s_min < jnp.inf),
-            feasible=(lowest <= highest) & (lowest < jnp.inf),
-            pulled_back=highest < 0,
-            known=jnp.ones(s_min.shape, bool),
-            hangs=(s_above <= s_max) & (s_max < jnp.inf),
+            s_min=jnp.minimum(behind, place),
+            s_max=jnp.maximum(ahead, place),
+            standing=standing,
+            feasible=feasible,
+            pulled_back=jnp.maximum(lowest, highest) < 0,
+            known=jnp.ones(standing.shape, bool),
+            hangs=(s_above <= ahead) & (ahead < jnp.inf),
             start=(lowest, s_other),   # without a lowest, no other rows are left but walls
         )
 
@@ -93,25 +98,29 @@ def polygon(
 
     com: [m]. along: unit vectors (zero: every row bounds nothing, or forbids everything). gravity: [m/s^2].
     """
-    bounds = tolerances(com.dtype)
     faces = jnp.asarray(cone.padded(1).faces, com.dtype)   # a cone that is all of space has no face
     line = wrench_line(cone.origin, cone.length, com, along, gravity)
-    wrenches = jnp.stack([line.per_acceleration, line.per_alpha, line.at_rest], axis=1)
+    wrenches = jnp.stack([line.per_acceleration, line.per_alpha, line.across], axis=1)
     rows = jnp.tensordot(faces, wrenches, axes=1, precision=jax.lax.Precision.HIGHEST)
-    top = line.reach, line.weight / line.length
+    # What a CoM moved by the slack, or a velocity turned by it, could make zero, is zero. A deceleration that is all slack
+    # would stop the robot in the end, however far away.
+    on_acceleration = without_noise(rows[:, 0], line.slack)
+    steepest = line.weight / line.length
     return _stored(
         Polygon(
-            on_acceleration=_without_noise(rows[:, 0], bounds.zero_coefficient * top[0]),
-            on_alpha=_without_noise(rows[:, 1], bounds.zero_coefficient * top[1]),
-            bound=rows[:, 2] + bounds.slack * line.weight * line.reach,
-            top=top,
+            on_acceleration=on_acceleration,
+            on_alpha=without_noise(rows[:, 1], line.slack * steepest),
+            bound=snapped(rows[:, 2] + on_acceleration * line.fall, line.slack * line.weight),
+            line=line,
+            top=(line.reach, steepest),
             size=line.length * line.reach,
         )
     )
 
 
-def _without_noise(values, noise):
-    return jnp.where(jnp.abs(values) > noise, values, 0)
+def _between(low: Float[Array, "*n"], high: Float[Array, "*n"]) -> Float[Array, "*n"]:
+    """Of low <= high the one nearest to zero; where they overlap the wrong way round, the middle."""
+    return jnp.where(low <= high, jnp.clip(0, low, high), (low + high) / 2)
 
 
 def _stored(rows: Polygon) -> Polygon:
@@ -144,7 +153,7 @@ def _crossings(rows: Polygon, intercept, slope):
     Infinity where it does not: where the rate is zero, or no more than rounding error.
     """
     rate = rows.on_acceleration * slope + rows.on_alpha
-    crosses = rate > tolerances(slope.dtype).parallel * (rows.top[1] + rows.top[0] * jnp.abs(slope))
+    crosses = rate > rows.line.slack * (rows.top[1] + rows.top[0] * jnp.abs(slope))
     return jnp.where(crosses, (rows.bound - rows.on_acceleration * intercept) / jnp.where(crosses, rate, 1), jnp.inf)
 
 
