@@ -34,6 +34,8 @@ LOST_UNIT = 8
 """How much rather a unit column leaves than a ray, where the free variable comes in."""
 LEAST_FIT = 1e-3
 """A free column fits in another's place if its own share of it is at least this much of the largest."""
+SMALLER = 0.1
+"""Pivots this much smaller than wanted are taken where there is no other."""
 WORN = 0.1
 """Largest error of an inverse that a Newton step may mend: it squares the error."""
 
@@ -242,20 +244,21 @@ def _step(program: Program, state: SimplexState) -> SimplexState:
     """One pivot, or the end."""
     (basis, outcome, pivots), running, flat, count = state
     late = count >= BLAND
-    held = _held(program, basis, flat)
+    zero = _zero(program, count)
+    held = _held(program, basis, flat, zero)
     normal = combination(held.objective(basis).astype(held.weights.dtype), basis.inverse)
     entering, improves = _entering(program, normal, late)
     improves &= running
     direction = times(basis.inverse, ray(program.rays, entering))
-    leaving, gives_way = _leaving(program, basis, held, direction, late)
+    leaving, gives_way = _leaving(basis, held, direction, late, zero)
 
     go = improves & gives_way
     stuck = running & ~improves & held.seeking
     flattens = stuck & _within_slack(program, basis, held) & ~flat
     ending = jnp.where(stuck, Outcome.INFEASIBLE, Outcome.OPTIMAL)
     outcome = jnp.where(running & ~improves & ~flattens, ending, outcome)
-    # No column gives way: z falls without end. What is missing cannot, so there it is rounding that fails.
-    endless = jnp.where(held.seeking, Outcome.UNDECIDED, Outcome.UNBOUNDED)
+    # No column gives way: z falls without end. What is missing cannot fall so; then it was no more than rounding that fell.
+    endless = jnp.where(held.seeking, Outcome.INFEASIBLE, Outcome.UNBOUNDED)
     outcome = jnp.where(improves & ~gives_way, endless, outcome)
     basis = pivot(basis, leaving, entering, direction, go)
     return SimplexState(Solution(basis, outcome.astype(jnp.int32), pivots + go), go | flattens, flat | flattens, count + 1)
@@ -275,9 +278,20 @@ class Held(NamedTuple):
         return jnp.where(self.seeking, self.missing, basis.index == FREE)
 
 
-def _held(program: Program, basis: Basis, flat: Bool[Array, "*n"]) -> Held:
+def _zero(program: Program, count: Int[Array, ""]) -> Float[Array, "*n"]:
+    """How far below zero a weight is still zero [m/s^2].
+
+    Pivots that are too small to be taken are left out, yet the weights behind them move, and where a cone is nearly flat by
+    more than rounding: what one pivot mends another one spoils, for ever. So late in the search all that is slack is zero,
+    and more and more of it.
+    """
     bounds = tolerances(program.target.dtype)
-    zero, slack = bounds.weight * program.scale, bounds.slack * program.scale
+    late = jnp.maximum(count - BLAND, 0) / 8
+    return jnp.where(count < BLAND, bounds.weight, (1 + late) * bounds.slack).astype(program.scale.dtype) * program.scale
+
+
+def _held(program: Program, basis: Basis, flat: Bool[Array, "*n"], zero: Float[Array, "*n"]) -> Held:
+    slack = tolerances(program.target.dtype).slack * program.scale
     weights = times(basis.inverse, program.target)
     left_over = (basis.index <= UNIT) & (jnp.abs(weights) > jnp.where(flat, slack, zero))
     missing = jnp.where((basis.index >= 0) & (weights < -zero), -1, jnp.where(left_over, jnp.sign(weights), 0))
@@ -300,16 +314,19 @@ def _entering(program: Program, normal: Float[Array, "6 *n"], late) -> tuple[Int
     return first_of(gain, jnp.where(late, enough, best)), best > enough
 
 
-def _leaving(program: Program, basis: Basis, held: Held, direction, late) -> tuple[Bool[Array, "6 *n"], Bool[Array, "*n"]]:
+def _leaving(basis: Basis, held: Held, direction, late, zero) -> tuple[Bool[Array, "6 *n"], Bool[Array, "*n"]]:
     """The column that has to leave as a ray comes in, of those that come to zero first, and whether there is one."""
-    bounds = tolerances(direction.dtype)
     is_ray, is_unit, missing = basis.index >= 0, basis.index <= UNIT, held.missing != 0
     size = jnp.abs(direction)
     falls = jnp.where(missing, direction * held.weights > 0, is_unit | is_ray & (direction > 0)) & (basis.index != FREE)
     left = jnp.where(missing, jnp.abs(held.weights), jnp.where(is_unit, 0, jnp.maximum(held.weights, 0)))
     bland = 1 / (2.0 + jnp.abs(basis.index)).astype(size.dtype)
     preferred = jnp.where(late, bland, size)
-    return leaving_of(falls & (size > bounds.pivot), left, size, bounds.weight * program.scale, preferred)
+    bound = tolerances(size.dtype).pivot
+    large = falls & (size > bound)
+    # Where all pivots are small, a small one.
+    falls = jnp.where(jnp.any(large, axis=0), large, falls & (size > SMALLER * bound))
+    return leaving_of(falls, left, size, zero, preferred)
 
 
 def leaving_of(falls, left, size, spare, preferred) -> tuple[Bool[Array, "6 *n"], Bool[Array, "*n"]]:
