@@ -244,8 +244,9 @@ def _step(program: Program, state: SimplexState) -> SimplexState:
     """One pivot, or the end."""
     (basis, outcome, pivots), running, flat, count = state
     late = count >= BLAND
-    zero = _zero(program, count)
-    held = _held(program, basis, flat, zero)
+    weights = times(basis.inverse, program.target)
+    zero = _zero(program, basis, weights, count)
+    held = _held(program, basis, weights, flat, zero)
     normal = combination(held.objective(basis).astype(held.weights.dtype), basis.inverse)
     entering, improves = _entering(program, normal, late)
     improves &= running
@@ -278,8 +279,8 @@ class Held(NamedTuple):
         return jnp.where(self.seeking, self.missing, basis.index == FREE)
 
 
-def _zero(program: Program, count: Int[Array, ""]) -> Float[Array, "*n"]:
-    """How far below zero a weight is still zero [m/s^2].
+def _zero(program: Program, basis: Basis, weights: Float[Array, "6 *n"], count: Int[Array, ""]) -> Float[Array, "*n"]:
+    """How far below zero a weight is still zero [m/s^2]: relative to all that the rays have to add up to.
 
     Pivots that are too small to be taken are left out, yet the weights behind them move, and where a cone is nearly flat by
     more than rounding: what one pivot mends another one spoils, for ever. So late in the search all that is slack is zero,
@@ -287,12 +288,17 @@ def _zero(program: Program, count: Int[Array, ""]) -> Float[Array, "*n"]:
     """
     bounds = tolerances(program.target.dtype)
     late = jnp.maximum(count - BLAND, 0) / 8
-    return jnp.where(count < BLAND, bounds.weight, (1 + late) * bounds.slack).astype(program.scale.dtype) * program.scale
+    return jnp.where(count < BLAND, bounds.weight, (1 + late) * bounds.slack).astype(weights.dtype) * _size(program, basis, weights)
 
 
-def _held(program: Program, basis: Basis, flat: Bool[Array, "*n"], zero: Float[Array, "*n"]) -> Held:
-    slack = tolerances(program.target.dtype).slack * program.scale
-    weights = times(basis.inverse, program.target)
+def _size(program: Program, basis: Basis, weights: Float[Array, "6 *n"]) -> Float[Array, "*n"]:
+    """Of target and free variable together [m/s^2]."""
+    free = jnp.sum(jnp.where(basis.index == FREE, jnp.abs(weights), 0), axis=0)
+    return program.scale + jnp.max(jnp.abs(program.free), axis=0) * free
+
+
+def _held(program: Program, basis: Basis, weights: Float[Array, "6 *n"], flat: Bool[Array, "*n"], zero) -> Held:
+    slack = tolerances(program.target.dtype).slack * _size(program, basis, weights)
     left_over = (basis.index <= UNIT) & (jnp.abs(weights) > jnp.where(flat, slack, zero))
     missing = jnp.where((basis.index >= 0) & (weights < -zero), -1, jnp.where(left_over, jnp.sign(weights), 0))
     return Held(weights, missing, jnp.any(missing != 0, axis=0))
@@ -300,7 +306,7 @@ def _held(program: Program, basis: Basis, flat: Bool[Array, "*n"], zero: Float[A
 
 def _within_slack(program: Program, basis: Basis, held: Held) -> Bool[Array, "*n"]:
     """Nothing is missing but unit columns' weights, and those by no more than the slack."""
-    slack = tolerances(program.target.dtype).slack * program.scale
+    slack = tolerances(program.target.dtype).slack * _size(program, basis, held.weights)
     is_ray, is_unit = basis.index >= 0, basis.index <= UNIT
     return ~jnp.any(is_ray & (held.missing != 0) | is_unit & (jnp.abs(held.weights) > slack), axis=0)
 

@@ -58,6 +58,8 @@ class RayPolygon(NamedTuple):
 
     rays: Float[Array, "6 r *#n"]
     per_acceleration: Float[Array, "6 *n"]
+    forward: Float[Array, "6 *n"]
+    """The same, moved a little into the cone where the acceleration holds the robot up: see `Load.target`."""
     per_alpha: Float[Array, "6 *n"]
     at_rest: Load
     """What the rays have to carry at alpha = 0 without acceleration: the weight."""
@@ -80,7 +82,8 @@ class RayPolygon(NamedTuple):
 
     def flipped(self) -> "RayPolygon":
         """With the acceleration's sign turned: its lower boundary is minus the upper boundary of this one."""
-        return self._replace(per_acceleration=-self.per_acceleration, fall=-self.fall, start=_turned(self.start))
+        turned = {"per_acceleration": -self.per_acceleration, "forward": -self.forward, "fall": -self.fall}
+        return self._replace(**turned, start=_turned(self.start))
 
     def seen_from(self, start: Float[Array, "*n"], heading) -> "RayPolygon":
         """With alpha counted from `start`, onwards (heading +1) or back (-1); so is the acceleration."""
@@ -88,6 +91,7 @@ class RayPolygon(NamedTuple):
         inverse = jnp.where(jnp.asarray(heading) > 0, self.start.inverse, turned.inverse)
         return self._replace(
             per_acceleration=heading * self.per_acceleration,
+            forward=heading * self.forward,
             per_alpha=heading * self.per_alpha,
             at_rest=self.at_rest.moved(self.per_alpha * start),
             falling=self.falling.moved(self.per_alpha * start),
@@ -142,7 +146,7 @@ class RayPolygon(NamedTuple):
 
     def at_start(self) -> Program:
         """The program of the smallest acceleration at alpha = 0, (25); the free variable is the acceleration less `fall`."""
-        return Program(self.rays, -self.per_acceleration, self.falling.target, self.falling.scale)
+        return Program(self.rays, -self.forward, self.falling.target, self.falling.scale)
 
     def standing(self, sign: int) -> Program:
         """The program of the smallest (-1) alpha at which zero acceleration is feasible, or of minus the largest (+1)."""
@@ -169,9 +173,11 @@ def ray_polygon(
         slack = line.slack * jnp.maximum(size, bounds.slack * line.weight)
         return Load(-scaled(wrench), slack * into - scaled(wrench), slack / bounds.slack)
 
+    per_acceleration = scaled(line.per_acceleration)
     return RayPolygon(
         rays=columns,
-        per_acceleration=scaled(line.per_acceleration),
+        per_acceleration=per_acceleration,
+        forward=per_acceleration - line.slack * line.fall / line.weight * into,
         per_alpha=scaled(line.per_alpha),
         at_rest=load(line.at_rest, line.weight),
         falling=load(line.across, line.sideways),
@@ -227,7 +233,9 @@ def _line(polygon: RayPolygon, basis: Basis) -> Line:
     along = lambda vector: jnp.sum(normal * vector, axis=0)
     # The target is not used here: a deceleration that it has only because it was moved into the cone would stop the robot in
     # the end, however far away. What is left of such a one is rounding error.
-    beyond, slope = along(polygon.falling.wrench), along(polygon.per_alpha)
+    own = -along(polygon.per_acceleration)   # 1, but for what `forward` was moved by
+    share = jnp.where(own > 0.5, 1 / jnp.where(own > 0.5, own, 1), 1)
+    beyond, slope = share * along(polygon.falling.wrench), share * along(polygon.per_alpha)
     slack = polygon.line.slack * jnp.max(jnp.abs(normal), axis=0)
     noise = slack * (jnp.abs(beyond) + polygon.line.sideways)
     return Line(snapped(beyond + polygon.fall, noise), without_noise(slope, slack * polygon.steepest))
