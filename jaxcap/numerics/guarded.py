@@ -42,12 +42,12 @@ def ratio(numerator: Float[Array, "..."], denominator: Float[Array, "..."], othe
     return jnp.where(safe, numerator / jnp.where(safe, denominator, 1), otherwise)
 
 
-def without_noise(value: Float[Array, "*n"], noise: Float[Array, "*#n"]) -> Float[Array, "*n"]:
+def without_noise(value: Float[Array, "..."], noise: Float[Array, "..."]) -> Float[Array, "..."]:
     """Zero, without a gradient, where the value is no larger than the noise."""
     return jnp.where(jnp.abs(value) > noise, value, 0)
 
 
-def snapped(value: Float[Array, "*n"], noise: Float[Array, "*n"]) -> Float[Array, "*n"]:
+def snapped(value: Float[Array, "..."], noise: Float[Array, "..."]) -> Float[Array, "..."]:
     """Zero where the value is no larger than the noise; its gradient is kept, for to the right and left it is not zero."""
     return value - jax.lax.stop_gradient(jnp.where(jnp.abs(value) <= noise, value, 0))
 

@@ -40,6 +40,10 @@ WORN = 0.1
 """Largest error of an inverse that a Newton step may mend: it squares the error."""
 
 
+_SPOILT = {64: 1e-6, 32: 1e-2}
+"""Largest error of an inverse at the end of a search that a Newton step may mend, by the bits of a number."""
+
+
 class Outcome(IntEnum):
     """How a program ends."""
 
@@ -208,11 +212,15 @@ def renewed(program: Program, basis: Basis) -> Basis:
 
 
 def _newton(program: Program, basis: Basis) -> tuple[Basis, Float[Array, "*n"]]:
-    """The basis after a Newton step for its inverse, and the largest error before."""
+    """The basis after a Newton step for its inverse, and the largest error before.
+
+    The error is that of inverse @ matrix, which weights inherit. That of matrix @ inverse would do for most bases, but where
+    an inverse is large, as that of a nearly flat cone, its rounding errors would be multiplied by all of it.
+    """
     matrix, inverse = columns(program, basis.index), basis.inverse
-    product = sum(matrix[:, i, None] * inverse[None, i] for i in range(6))
+    product = sum(inverse[:, i, None] * matrix[None, i] for i in range(6))
     error = jnp.eye(6, dtype=inverse.dtype).reshape(6, 6, *[1] * (inverse.ndim - 2)) - product
-    better = inverse + sum(inverse[:, i, None] * error[None, i] for i in range(6))
+    better = inverse + sum(error[:, i, None] * inverse[None, i] for i in range(6))
     return basis._replace(inverse=better), jnp.max(jnp.abs(error), axis=(0, 1))
 
 
@@ -224,6 +232,8 @@ class SimplexState(NamedTuple):
     flat: Bool[Array, "*n"]
     """No ray takes over from the unit columns that are left: their weights may be as large as the slack."""
     count: Int[Array, ""]
+    checked: Bool[Array, ""]
+    """All have come to an end with inverses that are to be trusted."""
 
 
 def solve(program: Program, basis: Basis, active: Bool[Array, "*n"]) -> Solution:
@@ -233,16 +243,32 @@ def solve(program: Program, basis: Basis, active: Bool[Array, "*n"]) -> Solution
     smaller; then z. The basis of a similar program is therefore as good a start as it is near.
     """
     outcome = jnp.full(active.shape, Outcome.UNDECIDED, jnp.int32)
-    start = SimplexState(Solution(basis, outcome, jnp.zeros(active.shape, jnp.int32)), active, ~active, jnp.int32(0))
-    last = jax.lax.while_loop(
-        lambda state: jnp.any(state.running) & (state.count < MAX_PIVOTS), lambda state: _step(program, state), start
-    )
+    solution = Solution(basis, outcome, jnp.zeros(active.shape, jnp.int32))
+    start = SimplexState(solution, active, ~active, jnp.int32(0), jnp.zeros((), bool))
+
+    def one(state: SimplexState) -> SimplexState:
+        return jax.lax.cond(jnp.any(state.running), lambda: _step(program, state), lambda: _checked(program, state))
+
+    last = jax.lax.while_loop(lambda state: ~state.checked & (state.count < MAX_PIVOTS), one, start)
     return last.solution
+
+
+def _checked(program: Program, state: SimplexState) -> SimplexState:
+    """Where pivots have spoilt an inverse beyond repair, its end was none: from a new one the search goes on, once."""
+    solution = state.solution
+    better, error = _newton(program, solution.basis)
+    worn = (error > _SPOILT[jnp.finfo(error.dtype).bits]) & (solution.outcome != Outcome.UNDECIDED)
+
+    def anew():
+        return jax.tree.map(lambda new, old: jnp.where(worn, new, old), factorised(program, solution.basis.index), better)
+
+    basis = jax.lax.cond(jnp.any(worn), anew, lambda: better)
+    return state._replace(solution=solution._replace(basis=basis), running=worn, checked=~jnp.any(worn))
 
 
 def _step(program: Program, state: SimplexState) -> SimplexState:
     """One pivot, or the end."""
-    (basis, outcome, pivots), running, flat, count = state
+    (basis, outcome, pivots), running, flat, count, checked = state
     late = count >= BLAND
     weights = times(basis.inverse, program.target)
     zero = _zero(program, basis, weights, count)
@@ -262,7 +288,8 @@ def _step(program: Program, state: SimplexState) -> SimplexState:
     endless = jnp.where(held.seeking, Outcome.INFEASIBLE, Outcome.UNBOUNDED)
     outcome = jnp.where(improves & ~gives_way, endless, outcome)
     basis = pivot(basis, leaving, entering, direction, go)
-    return SimplexState(Solution(basis, outcome.astype(jnp.int32), pivots + go), go | flattens, flat | flattens, count + 1)
+    solution = Solution(basis, outcome.astype(jnp.int32), pivots + go)
+    return SimplexState(solution, go | flattens, flat | flattens, count + 1, checked)
 
 
 class Held(NamedTuple):
@@ -288,7 +315,8 @@ def _zero(program: Program, basis: Basis, weights: Float[Array, "6 *n"], count: 
     """
     bounds = tolerances(program.target.dtype)
     late = jnp.maximum(count - BLAND, 0) / 8
-    return jnp.where(count < BLAND, bounds.weight, (1 + late) * bounds.slack).astype(weights.dtype) * _size(program, basis, weights)
+    share = jnp.where(count < BLAND, bounds.weight, (1 + late) * bounds.slack)
+    return share.astype(weights.dtype) * _size(program, basis, weights)
 
 
 def _size(program: Program, basis: Basis, weights: Float[Array, "6 *n"]) -> Float[Array, "*n"]:

@@ -70,7 +70,7 @@ class Polygon(NamedTuple):
         ahead = jnp.minimum(s_above, s_other)
         lowest = jnp.max(jnp.where(on_acceleration < 0, values, -jnp.inf), axis=0)
         highest = jnp.min(jnp.where(on_acceleration > 0, values, jnp.inf), axis=0)
-        # Ends that meet, but for rounding, are one place. Whether they do, rows without a coefficient included, the rows say.
+        # Ends that meet, but for rounding, are one place. Whether they do all rows say, those without a coefficient too.
         place, acceleration = _between(behind, ahead), _between(lowest, highest)
         missed = lambda coefficient, value, slack: jnp.any(coefficient * value > bound + slack, axis=0)
         standing = ~missed(on_alpha, place, self.line.slack_at(0.0))

@@ -16,10 +16,10 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from jaxcap.numerics.guarded import snapped, tolerances
-
 
 POSITION = 4
 """Rounding errors in a position, at most."""
@@ -56,13 +56,13 @@ class WrenchLine(NamedTuple):
     """`Tolerances.slack` for this state: of the stance or of the CoM's distance from it, and never less than what the
     positions themselves may be rounded by, which is more where they are far from the world's origin [-]."""
 
-    def slack_at(self, acceleration: Float[Array, "*n"]) -> Float[Array, "*n"]:
+    def slack_at(self, acceleration: Float[Array, "*n"] | float) -> Float[Array, "*n"]:
         """By how much a face may be missed at an acceleration [m/s^2]: relative to the force there."""
         return self.slack * (jnp.abs(acceleration - self.fall) + self.sideways)
 
 
 def wrench_line(
-    origin: Float[Array, "3 *#n"], length: Float[Array, "*#n"], com: Float[Array, "3 *n"], along: Float[Array, "3 *n"], gravity: Array
+    origin: ArrayLike, length: ArrayLike, com: Float[Array, "3 *n"], along: Float[Array, "3 *n"], gravity: ArrayLike
 ) -> WrenchLine:
     """The wrenches of a CoM on the line com + alpha * along.
 
