@@ -14,7 +14,7 @@ import numpy as np
 
 from jaxcap.contacts.cone import CentroidalCone, ConeRays
 from jaxcap.contacts.conventions import GRAVITY
-from jaxcap.one_state.line import survey_of_lanes, travel_of_lanes
+from jaxcap.one_state.line import motion_of_lanes, survey_of_lanes
 
 LINE = 61
 """Direction (20) and wrenches (41) of the line of travel."""
@@ -46,7 +46,7 @@ def work(cone: CentroidalCone | ConeRays, coms, com_velocities) -> Work:
     own = isinstance(cone, ConeRays) and cone.rays.ndim == 3
     lanes = jax.tree.map(lambda leaf: jnp.moveaxis(jnp.asarray(leaf), 0, -1), cone) if own else cone
     travelling = lanes, jnp.asarray(coms).T, jnp.asarray(com_velocities).T, GRAVITY
-    pieces = jax.jit(lambda *state: travel_of_lanes(*state)[0].lower.pieces)(*travelling)
+    pieces = jax.jit(lambda *state: motion_of_lanes(*state).line.lower.pieces)(*travelling)
     pivots = jnp.mean(survey_of_lanes(*travelling).near.pivots) if isinstance(cone, ConeRays) else 0
     return Work(float(jnp.mean(jnp.sum(pieces.right > pieces.left, axis=0))), float(pivots))
 

@@ -15,8 +15,15 @@ from bench.stances import batch
 from bench.timing import spent
 
 FACES = (
-    ("one foot", 4), ("coplanar feet", 4), ("coplanar feet", 8), ("2 random rectangles", 4), ("3 random rectangles", 4),
-    ("4 random rectangles", 4), ("3 random rectangles", 6), ("4 random rectangles", 6), ("4 random rectangles", 8),
+    ("one foot", 4),
+    ("coplanar feet", 4),
+    ("coplanar feet", 8),
+    ("2 random rectangles", 4),
+    ("3 random rectangles", 4),
+    ("4 random rectangles", 4),
+    ("3 random rectangles", 6),
+    ("4 random rectangles", 6),
+    ("4 random rectangles", 8),
 )
 """Contact sets and sides of the pyramids, about in the order of their faces."""
 RECTANGLES = (1, 2, 3, 4, 6)

@@ -4,7 +4,7 @@
 
 The first N samples of seed 2018 of the scenarios `two` and `three`, best of three controllers. `base` (DAQP, 1 ms, contacts
 stabilised) is read from the campaign's file in --base where that has them; the others are computed by the campaign itself
-into DIR, so that the same command resumes:
+into DIR, so that the same command resumes (bench/data/labels has 500 of each):
 
     proxqp     ProxQP is asked first, DAQP where it fails
     half       time step of 0.5 ms
@@ -12,7 +12,7 @@ into DIR, so that the same command resumes:
     drift      without stabilisation of the contacts
 
 First a table: how many labels agree, flip (a fall here, a stop there), or are undecided on one side. Then a line for each
-disagreement, every run of both sides as controller:reason@seconds, and its reason:
+disagreement, every run of both sides as controller:reason@step, and its reason:
 
     time       one side ran out of time: it was about to stop, or went on moving
     unsolved   a QP that no solver solved and no proof calls infeasible
@@ -37,7 +37,7 @@ from typing import Any, NamedTuple
 
 from reference.tsid import campaign
 from reference.tsid.controller import CONFIGURATIONS
-from reference.tsid.labels import BEST_FIRST
+from reference.tsid.labels import BEST_FIRST, BEST_OF_FOUR
 from reference.tsid.robot import Robot, load
 from reference.tsid.sampling import draw
 from reference.tsid.simulator import DEFAULT, Simulator
@@ -54,7 +54,7 @@ VARIANTS = {
 SCALES = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2)
 STEPS = (0.99e-3, 0.9e-3, 0.8e-3, 1.1e-3, 1.25e-3)
 """[s]"""
-CONTROLLERS = campaign.BEST_OF_THREE
+CONTROLLERS = BEST_OF_FOUR[:3]
 
 Row = dict[str, Any]
 
@@ -79,16 +79,16 @@ def rows(scenario: str, variant: str, options: argparse.Namespace) -> list[Row]:
             return found[: options.samples]
     if not (path.is_file() and len(read(path)[2]) >= options.samples):
         arguments = [scenario, "--samples", str(options.samples), "--seed", str(SEED), "--jobs", str(options.jobs)]
-        status = campaign.main([*arguments, "-o", str(path), *VARIANTS.get(variant, [])])
+        status = campaign.main([*arguments, "-o", str(path), "--controllers", *CONTROLLERS, *VARIANTS.get(variant, [])])
         if status != 0:
             sys.exit(status)
     return read(path)[2][: options.samples]
 
 
 def runs(row: Row) -> str:
-    """Every run of a row: controller:reason@seconds."""
+    """Every run of a row: controller:reason@step."""
     return " ".join(
-        f"{name}:{row[f'{name}_reason']}@{row[f'{name}_time']:.3f}" for name in CONTROLLERS if f"{name}_reason" in row
+        f"{name}:{row[f'{name}_reason']}@step {row[f'{name}_steps']}" for name in CONTROLLERS if f"{name}_reason" in row
     )
 
 

@@ -6,7 +6,7 @@ A line is a command `jaxcap map CONTACTS -o OUT.zarr --axis ...` in a process of
 headings, 61 speeds, float32. `verdict` writes capturable, margin and case of every state; `all` writes all fields. The ratio
 comes first: states/s of the map over those of `score`, which computes every field, on arrays of the same states. `seconds`
 are those of the whole command without starting Python: compiling, computing, compressing and writing.
-`peak` is the largest resident memory of the process, the interpreter and JAX included (see bench/memory.py).
+`peak` is the largest resident memory of the process, the interpreter and JAX included (see bench/process.py).
 
 `score` is given `--sample` of the states, runs of neighbours that begin at random places (seed 0), from the host, compiled
 before, once before the map and once after it; its rate is the better of the two. A busy machine slows both alike, so trust
@@ -26,10 +26,12 @@ import numpy as np
 import xarray as xr
 
 import jaxcap
-from bench.memory import CONTACTS, in_process
+from bench.process import in_process
+from bench.stances import DATA
 from jaxcap.files.contact_files import read_contacts
-from jaxcap.maps.grid import Grid, axes_around, grid
+from jaxcap.maps.grid import Grid, axes_around, grid_of
 
+CONTACTS = DATA / "talos_two_feet.yaml"
 SEED, RUN = 0, 1 << 16
 HEADINGS, SPEEDS, FASTEST = 72, 61, 1.5
 BAND = 1e-5
@@ -48,7 +50,7 @@ def mapped(contacts: Path, output: Path, texts: dict[str, str], quantities) -> d
     """Runs the command. Returns its seconds and its peak memory."""
     options = [*(f"--axis={name}={text}" for name, text in texts.items()), *(f"--quantity={name}" for name in quantities)]
     command = ["map", str(contacts), "-o", str(output), *options]
-    return {"command": " ".join(["jaxcap", *command]), **in_process(command)}
+    return {"command": " ".join(["jaxcap", *command]), **in_process(command)._asdict()}
 
 
 def scored(cone, points: Grid, starts: np.ndarray) -> tuple[float, jaxcap.Capturability]:
@@ -67,7 +69,7 @@ def differing(output: Path, points: Grid, starts: np.ndarray, answer: jaxcap.Cap
         flat = dataset.capturable.transpose(*points.dims).variable
         rows = math.prod(points.shape[1:])
         found = []
-        for start in starts:   # only the rows of com_x that the run touches are read
+        for start in starts:  # only the rows of com_x that the run touches are read
             first, last = start // rows, (start + RUN - 1) // rows
             part = np.ravel(flat[first : last + 1].values)
             found.append(part[start - first * rows :][:RUN])
@@ -79,7 +81,7 @@ def line(name: str, quantities, options, directory: Path) -> dict:
     """One line of the table."""
     texts, output = axes(options.contacts, options.states), directory / f"{name}.zarr"
     stance = read_contacts(options.contacts)
-    points, cone = grid(axes_around(stance, texts)), jaxcap.centroidal_cone(stance)
+    points, cone = grid_of(axes_around(stance, texts)), jaxcap.centroidal_cone(stance)
     rng = np.random.default_rng(SEED)
     starts = rng.integers(0, points.size - RUN, max(1, options.sample // RUN))
     before, _ = scored(cone, points, starts)

@@ -1,12 +1,9 @@
 """Peak memory against the number of states: it has to stay level. `jaxcap map` and `jaxcap score`, each in its own process.
 
-`peak` is the largest resident memory of the process, interpreter and JAX included, as Linux counts it for the program alone
-(VmHWM); elsewhere ru_maxrss. The map is that of `bench.maps` (the verdict alone), the file a Parquet file of random states.
+`peak` is that of `bench/process.py`. The map is that of `bench.maps` (the verdict alone), the file a Parquet file of random
+states.
 """
 
-import json
-import subprocess
-import sys
 import tempfile
 from pathlib import Path
 
@@ -14,36 +11,12 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from bench.stances import DATA
+from bench.maps import CONTACTS, axes
+from bench.process import in_process
 
-CONTACTS = DATA / "talos_two_feet.yaml"
 SEED = 0
 ROWS = 1 << 20
 """Rows of a file that are drawn and written at a time."""
-CHILD = """
-import json, resource, sys, time
-from jaxcap.cli import main
-
-def peak():
-    try:
-        with open("/proc/self/status") as status:
-            return next(int(line.split()[1]) * 1024 for line in status if line.startswith("VmHWM"))
-    except OSError:
-        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
-
-start = time.perf_counter()
-code = main(sys.argv[1:])
-print(json.dumps({"seconds": time.perf_counter() - start, "peak_bytes": peak()}))
-sys.exit(code)
-"""
-
-
-def in_process(command: list[str]) -> dict:
-    """Runs `jaxcap` with these arguments. Returns its seconds, without starting Python, and its peak memory."""
-    done = subprocess.run([sys.executable, "-c", CHILD, *command], capture_output=True, text=True)
-    if done.returncode:
-        raise RuntimeError(done.stderr)
-    return json.loads(done.stdout.splitlines()[-1])
 
 
 def write_states(path: Path, count: int) -> None:
@@ -61,8 +34,6 @@ def write_states(path: Path, count: int) -> None:
 
 def lines(most: int) -> list[dict]:
     """One line for each command and power of ten from 10^5 states up to `most`."""
-    from bench.maps import axes
-
     found = []
     sizes = [10**k for k in range(5, 12) if 10**k <= most] or [most]
     with tempfile.TemporaryDirectory() as name:
@@ -79,6 +50,6 @@ def lines(most: int) -> list[dict]:
             states.unlink()
             scores.unlink()
     return [
-        {"command": which, "states": count, "peak MB": line["peak_bytes"] / 1e6, "states/s": count / line["seconds"]}
-        for which, count, line in found
+        {"command": which, "states": count, "peak MB": cost.peak_bytes / 1e6, "states/s": count / cost.seconds}
+        for which, count, cost in found
     ]

@@ -26,7 +26,12 @@ from bench.stances import Batch
 
 INSTALL = "pip install hpp-bezier-com-traj hpp-centroidal-dynamics"
 LIBRARIES = (
-    "libcdd.so.0", "libCoinUtils.so.3", "libClp.so.1", "libqpOASES.so.3.2", "libglpk.so.40", "libhpp-centroidal-dynamics.so",
+    "libcdd.so.0",
+    "libCoinUtils.so.3",
+    "libClp.so.1",
+    "libqpOASES.so.3.2",
+    "libglpk.so.40",
+    "libhpp-centroidal-dynamics.so",
     "libhpp-bezier-com-traj.so",
 )
 """Loaded by hand, in this order: the wheels' modules do not know where theirs are."""

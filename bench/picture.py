@@ -45,8 +45,11 @@ def patches() -> dict[str, jaxcap.ContactSet]:
     """The stance's rectangles, by name."""
     return {
         contact.name: jaxcap.rectangle(
-            contact.position, contact.rotation, TALOS_CONTACTS[contact.name].half_length,
-            TALOS_CONTACTS[contact.name].half_width, contact.friction,
+            contact.position,
+            contact.rotation,
+            TALOS_CONTACTS[contact.name].half_length,
+            TALOS_CONTACTS[contact.name].half_width,
+            contact.friction,
         )
         for contact in STANCE.contacts
     }
@@ -124,7 +127,11 @@ def draw_kernels(axes, feet: VelocityArea, both: VelocityArea) -> None:
     axes.text(0.74, 0.38, text, ha="center", va="center", weight="bold")
     axes.text(1.65, -0.55, "has to move a contact,\nor falls", ha="center", color="#555555")
     axes.annotate(
-        "the push on the left", PUSH[:2], (1.5, 0.16), color=RED, weight="bold",
+        "the push on the left",
+        PUSH[:2],
+        (1.5, 0.16),
+        color=RED,
+        weight="bold",
         arrowprops={"arrowstyle": "-", "color": RED, "shrinkB": 8},
     )
     axes.scatter(*PUSH[:2], s=150, color=WHITE, edgecolor=RED, linewidth=3, zorder=5)

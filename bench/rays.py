@@ -53,9 +53,14 @@ def line(rectangles: int, dtype: str, states: int, few: int, rounds: int) -> dic
     unlike = (answer.capturable[:few] != faces.capturable) & ~(np.abs(faces.margin) < BAND[dtype])
     rates = {name: states / timed[name].best for name in timed}
     return {
-        "x project": rate * projecting, "x LP": rate * _linear_program(sample.first(few)),
-        "x warm": ratio(timed["t.cold"], timed["t.warm"]), "rectangles": rectangles, "dtype": dtype, **rates,
-        "undecided": int((answer.status == jaxcap.Status.MAX_STEPS).sum()), "differ": int(unlike.sum()),
+        "x project": rate * projecting,
+        "x LP": rate * _linear_program(sample.first(few)),
+        "x warm": ratio(timed["t.cold"], timed["t.warm"]),
+        "rectangles": rectangles,
+        "dtype": dtype,
+        **rates,
+        "undecided": int((answer.status == jaxcap.Status.MAX_STEPS).sum()),
+        "differ": int(unlike.sum()),
     }
 
 

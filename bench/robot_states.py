@@ -84,13 +84,19 @@ FOUR_FEET = tuple(
 STANCES = (
     Stance("talos_two_feet", "TALOS, half sitting, two feet on flat ground", "talos", "half_sitting", {}, TWO_FEET),
     Stance(
-        "talos_hand_on_wall", "TALOS, two feet on flat ground, left hand on a wall ahead", "talos", "half_sitting",
+        "talos_hand_on_wall",
+        "TALOS, two feet on flat ground, left hand on a wall ahead",
+        "talos",
+        "half_sitting",
         _left_arm(-0.219, 0.835, -0.465, -1.701, 0.930, 0.616, -0.309),
         (*TWO_FEET, Contact("left_hand", (0.55, 0.35, 1.1), AHEAD, 0.5, (1.0, 1.0))),
     ),
     Stance(
-        "talos_slopes_and_rail", "TALOS, two feet on slopes, left hand on a flat-topped rail that rises ahead", "talos",
-        "half_sitting", _left_arm(-0.109, 1.282, -1.031, -1.331, -0.017, -0.511, 0.073),
+        "talos_slopes_and_rail",
+        "TALOS, two feet on slopes, left hand on a flat-topped rail that rises ahead",
+        "talos",
+        "half_sitting",
+        _left_arm(-0.109, 1.282, -1.031, -1.331, -0.017, -0.511, 0.073),
         (
             Contact("left_sole", (0.0, 0.11, 0.0), _tilted(0.25, 0.0), 0.5, (0.15, 0.1)),
             Contact("right_sole", (0.08, -0.11, 0.04), _tilted(0.0, -0.25), 0.5, (0.15, 0.1)),
@@ -192,7 +198,7 @@ class Sampler:
 def _add_frame(model, name: str) -> int:
     """The frame of a contact, added to the model (a patch) or already there (a foot)."""
     if name not in robots.TALOS_CONTACTS:
-        return model.getFrameId(robots.ANYMAL_FEET[name])
+        return model.getFrameId(robots.ANYMAL_FEET[name].frame)
     patch = robots.TALOS_CONTACTS[name]
     link = model.getFrameId(patch.frame)
     placement = model.frames[link].placement * pin.SE3(np.array(patch.rotation), np.array(patch.position))

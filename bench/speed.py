@@ -37,7 +37,13 @@ from jaxcap.files.whole_file import whole_file
 
 SECTIONS = ("throughput", "peers", "own", "growth", "latency", "memory")
 QUICK = {
-    "batch": 20_000, "own_batch": 256, "rounds": 1, "peer_states": 20, "calls": 200, "most": 1000, "most_states": 100_000,
+    "batch": 20_000,
+    "own_batch": 256,
+    "rounds": 1,
+    "peer_states": 20,
+    "calls": 200,
+    "most": 1000,
+    "most_states": 100_000,
 }
 """What --quick stands for, beside fewer contact sets."""
 
@@ -139,7 +145,7 @@ def main(arguments=None) -> None:
     """Parse, measure, print, save."""
     options = parse(arguments)
     if options.inline:
-        jax.config.update("jax_cpu_enable_async_dispatch", False)   # before the first device is asked for
+        jax.config.update("jax_cpu_enable_async_dispatch", False)  # before the first device is asked for
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     device = jax.devices()[0]
     about = {"jaxcap": jaxcap.__version__, "jax": jax.__version__, "platform": device.platform, "device": device.device_kind}
@@ -151,7 +157,7 @@ def main(arguments=None) -> None:
         tables[name] = lines
         print(f"{name}\n{table(lines)}\n", flush=True)
     if options.json:
-        known = lambda line: {name: None if value != value else value for name, value in line.items()}   # JSON has no NaN
+        known = lambda line: {name: None if value != value else value for name, value in line.items()}  # JSON has no NaN
         tables = {name: [known(line) for line in lines] for name, lines in tables.items()}
         with whole_file(options.json, force=False) as file:
             file.write((json.dumps({**about, "tables": tables}, indent=1) + "\n").encode())

@@ -10,9 +10,16 @@ from bench.stances import Batch, batch
 from bench.timing import Ceilings, in_turn, ratio
 
 SETS = (
-    ("face", "coplanar feet"), ("face", "tilted feet"), ("face", "talos_two_feet"), ("face", "talos_hand_on_wall"),
-    ("face", "talos_slopes_and_rail"), ("face", "3 random rectangles"), ("face", "4 random rectangles"),
-    ("ray", "coplanar feet"), ("ray", "4 random rectangles"), ("own", "own sets of 2 rectangles"),
+    ("face", "coplanar feet"),
+    ("face", "tilted feet"),
+    ("face", "talos_two_feet"),
+    ("face", "talos_hand_on_wall"),
+    ("face", "talos_slopes_and_rail"),
+    ("face", "3 random rectangles"),
+    ("face", "4 random rectangles"),
+    ("ray", "coplanar feet"),
+    ("ray", "4 random rectangles"),
+    ("own", "own sets of 2 rectangles"),
     ("own", "own sets of 4 rectangles"),
 )
 """Producers and contact sets."""
@@ -48,10 +55,20 @@ def line(producer: str, name: str, dtype: str, limits: Ceilings, options) -> tup
     operations, traffic = counts.operations(cone, found), counts.traffic(cone, dtype)
     over = lambda peer, m: ratio(timed[peer], ours) * n / m if peer in timed else np.nan
     line = {
-        "x vmap": over("vmap", min(n, VMAP)), "x paper": over("paper", min(n, options.peer_states)), "producer": producer,
-        "contacts": states.name, "sides": peers.SIDES, "rows": counts.rows(cone), "dtype": dtype, "batch": n,
-        "states/s": n / ours.best, "median": n / float(np.median(ours.seconds)), "compile s": ours.compiling,
-        "flop": operations, "bytes": traffic, "% flop": 100 * operations * n / ours.best / limits.operations,
+        "x vmap": over("vmap", min(n, VMAP)),
+        "x paper": over("paper", min(n, options.peer_states)),
+        "producer": producer,
+        "contacts": states.name,
+        "sides": peers.SIDES,
+        "rows": counts.rows(cone),
+        "dtype": dtype,
+        "batch": n,
+        "states/s": n / ours.best,
+        "median": n / float(np.median(ours.seconds)),
+        "compile s": ours.compiling,
+        "flop": operations,
+        "bytes": traffic,
+        "% flop": 100 * operations * n / ours.best / limits.operations,
         "% bytes": 100 * traffic * n / ours.best / limits.bytes,
     }
     answer = jax.tree.map(np.asarray, ours.answer)

@@ -35,9 +35,12 @@ def line(modules, name: str, dtype: str, options) -> tuple[dict, dict]:
     durations = timed["bezier all"].answer
     verdicts = disagreements.reasons(modules, shown, cone, first, durations)
     agreement = {
-        "contacts": states.name, "states": few,
+        "contacts": states.name,
+        "states": few,
         "bezier %": _share(np.isfinite(timed["bezier"].answer), first.capturable),
-        "all %": _share(np.isfinite(durations), first.capturable), "LP %": _share(timed["LP"].answer, still), **verdicts,
+        "all %": _share(np.isfinite(durations), first.capturable),
+        "LP %": _share(timed["LP"].answer, still),
+        **verdicts,
     }
     return {**ratios, "contacts": states.name, "states/s": len(coms) / timed["ours"].best, **micro, **faces}, agreement
 

@@ -8,11 +8,14 @@ converted first; `convention_error` says whether it was.
 """
 
 import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
+
+from jaxcap.contacts.conventions import ArrayLike
 
 try:
     import pinocchio as pin
@@ -51,22 +54,29 @@ class CentroidalStates(NamedTuple):
     """About the centre of mass [kg m^2/s]."""
 
 
+_SOLE = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+
+
 class ContactPatch(NamedTuple):
-    """A rectangle on a robot's link that can rest on a flat surface."""
+    """Where a robot's link can touch: a rectangle that can rest on a flat surface, or, without sides, a point."""
 
     frame: str
     """Name of the link's frame in the model."""
-    position: tuple[float, float, float]
-    """Centre of the rectangle in that frame [m]."""
-    rotation: tuple[tuple[float, float, float], ...]
+    position: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Centre of the rectangle, or the point, in that frame [m]."""
+    rotation: tuple[tuple[float, float, float], ...] = _SOLE
     """(3, 3) in that frame. Columns: direction of the length, of the width, normal pointing into the robot."""
-    half_length: float
+    half_length: float = 0.0
     """[m], the long side."""
-    half_width: float
+    half_width: float = 0.0
     """[m]."""
 
+    @property
+    def is_point(self) -> bool:
+        """Whether it has no sides."""
+        return self.half_length == 0 and self.half_width == 0
 
-_SOLE = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+
 _HAND = ((0.0, -1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0))
 
 TALOS_CONTACTS = {
@@ -88,23 +98,42 @@ along y and x (0.0692 x 0.0475 m), rounded down; no vertex of the hand's collisi
 """
 
 ANYMAL_FEET = {
-    "left_front_foot": "LF_FOOT",
-    "right_front_foot": "RF_FOOT",
-    "left_hind_foot": "LH_FOOT",
-    "right_hind_foot": "RH_FOOT",
+    "left_front_foot": ContactPatch("LF_FOOT"),
+    "right_front_foot": ContactPatch("RF_FOOT"),
+    "left_hind_foot": ContactPatch("LH_FOOT"),
+    "right_hind_foot": ContactPatch("RH_FOOT"),
 }
-"""Frames whose origins are ANYmal's point contacts, as its SRDF stands (the foot's sphere ends 8 mm further down)."""
+"""Points: the origins of frames of ANYmal's feet, as its SRDF stands (the foot's sphere ends 8 mm further down)."""
+
+
+class Placement(NamedTuple):
+    """Where a patch is, in the world frame."""
+
+    position: Float[np.ndarray, "3"]
+    """Centre of the rectangle, or the point [m]."""
+    rotation: Float[np.ndarray, "3 3"]
+    """Columns: direction of the length, of the width, normal pointing at the robot."""
 
 
 def load_robot(
-    urdf_path: PathLike, srdf_path: PathLike | None = None, package_dirs=(), free_flyer: bool = True, locked_joints=()
+    urdf_path: PathLike,
+    srdf_path: PathLike | None = None,
+    package_dirs: Sequence[PathLike] = (),
+    free_flyer: bool = True,
+    locked_joints: Sequence[str] = (),
 ) -> Robot:
     """A robot from its URDF file, with the postures and the ignored collision pairs of its SRDF file.
 
-    package_dirs: folders in which `package://` addresses of meshes start; without any, no collision shapes are loaded.
-    free_flyer: whether the base moves freely. locked_joints: names of joints fixed at zero and removed from the model.
+    Args:
+        urdf_path: The robot.
+        srdf_path: Its postures and ignored collision pairs.
+        package_dirs: Folders in which `package://` addresses of meshes start; without any, no collision shapes are loaded.
+        free_flyer: Whether the base moves freely.
+        locked_joints: Names of joints fixed at zero and removed from the model.
 
-    Raises FileNotFoundError naming the missing file, ValueError naming a locked joint that the model does not have.
+    Raises:
+        FileNotFoundError: Naming the missing file.
+        ValueError: Naming a locked joint that the model does not have.
     """
     for path in (urdf_path, srdf_path, *package_dirs):
         if path is not None and not Path(path).exists():
@@ -142,7 +171,7 @@ def anymal(collisions: bool = False) -> Robot:
     return _example("anymal_b_simple_description", "robots/anymal.urdf", "srdf/anymal.srdf", collisions)
 
 
-def _example(folder: str, urdf: str, srdf: str, collisions: bool, locked_joints=()) -> Robot:
+def _example(folder: str, urdf: str, srdf: str, collisions: bool, locked_joints: Sequence[str] = ()) -> Robot:
     """A robot of the package example-robot-data, which installs into the same prefix as Pinocchio."""
     share = Path(pin.__file__).parents[4] / "share"  # <prefix>/lib/python3.x/site-packages/pinocchio/__init__.py
     root = share / "example-robot-data" / "robots" / folder
@@ -151,13 +180,18 @@ def _example(folder: str, urdf: str, srdf: str, collisions: bool, locked_joints=
     return load_robot(root / urdf, root / srdf, [share] if collisions else (), locked_joints=locked_joints)
 
 
-def centroidal_states(model: Model, configurations, velocities) -> CentroidalStates:
+def centroidal_states(model: Model, configurations: ArrayLike, velocities: ArrayLike) -> CentroidalStates:
     """Centre of mass, its velocity and the angular momentum about it, of n robot states.
 
-    configurations: (n, nq), velocities: (n, nv), in the conventions at the head of this module.
-    Raises ValueError naming field and row for a wrong shape, a value that is not finite, a quaternion that is not of
-    unit norm. Quaternions in the wrong order and base velocities in the world frame cannot be seen here: see
-    `convention_error`.
+    Quaternions in the wrong order and base velocities in the world frame cannot be seen here: see `convention_error`.
+
+    Args:
+        model: Pinocchio's.
+        configurations: (n, nq), in the conventions at the head of this module.
+        velocities: (n, nv), likewise.
+
+    Raises:
+        ValueError: Naming field and row for a wrong shape, a value that is not finite, a quaternion not of unit norm.
     """
     configurations = _rows("configurations", configurations, "nq", model.nq)
     velocities = _rows("velocities", velocities, "nv", model.nv)
@@ -172,13 +206,24 @@ def centroidal_states(model: Model, configurations, velocities) -> CentroidalSta
     return out
 
 
-def convention_error(model: Model, configurations, velocities, dt: float) -> Float[np.ndarray, "n-2"]:
+def convention_error(model: Model, configurations: ArrayLike, velocities: ArrayLike, dt: float) -> Float[np.ndarray, "n-2"]:
     """How far a recorded trajectory's velocities are from its configurations: check a convention, do not guess it.
 
-    configurations: (n, nq) at equal steps dt [s], n >= 3. velocities: (n, nv) at the same times.
-    Returns the distance [m/s] between the CoM velocity and the central difference of the CoM, at all steps but the
-    first and last. It shrinks with dt^2 where the conventions are Pinocchio's. Where they are not (base velocity in the
-    world frame, quaternion w first, joints in another order) it is of the order of the speed, if the base is turned.
+    It shrinks with dt^2 where the conventions are Pinocchio's. Where they are not (base velocity in the world frame,
+    quaternion w first, joints in another order) it is of the order of the speed, if the base is turned.
+
+    Args:
+        model: Pinocchio's.
+        configurations: (n, nq) at equal steps, n >= 3.
+        velocities: (n, nv) at the same times.
+        dt: Those steps [s].
+
+    Returns:
+        The distance [m/s] between the CoM velocity and the central difference of the CoM, (n - 2,): at all steps but the
+        first and last.
+
+    Raises:
+        ValueError: As `centroidal_states`; also for fewer than three rows, and a step that is not positive.
     """
     if not (np.ndim(dt) == 0 and np.isfinite(dt) and dt > 0):
         raise ValueError(f"dt = {dt} (expected a positive number of seconds)")
@@ -189,11 +234,20 @@ def convention_error(model: Model, configurations, velocities, dt: float) -> Flo
     return np.linalg.norm(difference - states.com_velocity[1:-1], axis=1)
 
 
-def contact_placement(model: Model, configuration, patch: ContactPatch):
-    """Where a patch of the robot is: position (3,) [m] and rotation (3, 3) of the rectangle, world frame.
+def contact_placement(model: Model, configuration: ArrayLike, patch: ContactPatch) -> Placement:
+    """Where a patch of the robot is.
 
-    Columns of the rotation: direction of the length, of the width, normal pointing at the robot, as `jaxcap.rectangle`
-    takes them. configuration: (nq,). Raises ValueError naming the field, or the frame that the model does not have.
+    Args:
+        model: Pinocchio's.
+        configuration: (nq,).
+        patch: A rectangle or a point: of `TALOS_CONTACTS`, `ANYMAL_FEET`, or your own.
+
+    Returns:
+        Position [m] and rotation in the world frame, as `jaxcap.rectangle` takes them. The rotation of a point is that of
+        its link: what the point stands on says where its normal is.
+
+    Raises:
+        ValueError: Naming the field, or the frame that the model does not have.
     """
     if np.shape(configuration) != (model.nq,):
         raise ValueError(f"configuration has shape {np.shape(configuration)} (expected ({model.nq},): nq = {model.nq})")
@@ -204,10 +258,10 @@ def contact_placement(model: Model, configuration, patch: ContactPatch):
     data, frame = model.createData(), model.getFrameId(patch.frame)
     pin.forwardKinematics(model, data, pin.normalize(model, configuration[0]))
     link = pin.updateFramePlacement(model, data, frame)
-    return link.act(np.array(patch.position)), link.rotation @ np.array(patch.rotation)
+    return Placement(link.act(np.array(patch.position)), link.rotation @ np.array(patch.rotation))
 
 
-def _rows(name: str, value, symbol: str, size: int) -> Float[np.ndarray, "n size"]:
+def _rows(name: str, value: ArrayLike, symbol: str, size: int) -> Float[np.ndarray, "n size"]:
     """`value` as float64 rows of this size, or ValueError."""
     array = np.asarray(value)
     if array.dtype.kind not in "iuf":
@@ -227,7 +281,7 @@ def _check_units(model: Model, configurations: Float[np.ndarray, "n nq"]) -> Non
         tail = UNIT_TAIL.get(joint.shortname(), 2 if (joint.nq, joint.nv) == (2, 1) else 0)
         end = joint.idx_q + joint.nq
         norm = np.linalg.norm(configurations[:, end - tail : end], axis=1)
-        bad = np.flatnonzero(np.abs(norm - 1) > UNIT_NORM) if tail else ()
+        bad = np.flatnonzero((np.abs(norm - 1) > UNIT_NORM) & (tail > 0))
         if len(bad):
             row = int(bad[0])
             what = "quaternion (x, y, z, w)" if tail == 4 else "cosine and sine"

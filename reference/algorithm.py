@@ -209,4 +209,3 @@ def position_time(alpha, alphadot, beta, gamma, alpha_bar):
     root = cmath.sqrt(max(root.real, 0.0) if gamma > 0.0 else min(root.real, 0.0))
     ratio = (root - c) / (a + b) if gamma > 0.0 else (-root - c) / (a + b)  # lines 16-19
     return max((cmath.log(ratio) / omega).real, 0.0)
-

@@ -1,11 +1,69 @@
-"""Precision for the tests, and types checked at run time."""
+"""Which tests are quick, types checked at run time, and compiled programs kept for the next run."""
 
-import jax
+import os
+import shutil
+from pathlib import Path
+
 import pytest
-from jaxtyping import install_import_hook
+from tiers import is_quick, mark
+
+KEPT = Path(__file__).resolve().parents[1] / ".jax_cache"
+"""Compiled programs, for the next run and for the processes that tests start; may be deleted at any time."""
+MOST_KEPT = 4e9
+"""When the folder is larger, it is begun anew [bytes]."""
+MOST_MAPS = 10_000
+"""Of memory, in one process (about 2 GB): every program takes some, Linux allows 65,530, and all programs take 10 GB."""
+
+WORTH_KEEPING = 0.1
+"""Programs that take longer to compile are kept [s]."""
+
+os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(KEPT))
+os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", str(WORTH_KEEPING))
+
+import jax  # noqa: E402
+from jaxtyping import install_import_hook  # noqa: E402
+
+jax.config.update("jax_compilation_cache_dir", os.environ["JAX_COMPILATION_CACHE_DIR"])  # a plugin may have imported JAX
+jax.config.update("jax_persistent_cache_min_compile_time_secs", WORTH_KEEPING)
 
 with install_import_hook("jaxcap", "beartype.beartype"):
     import jaxcap  # noqa: F401
+
+
+def pytest_addoption(parser):
+    parser.addoption("--everything", action="store_true", help="run all tests, not only the quick ones")
+
+
+def pytest_configure(config):
+    # A program that another process is just writing, or that was cut off in writing, is compiled again
+    config.addinivalue_line("filterwarnings", "ignore:Error reading persistent compilation cache entry:UserWarning")
+    size = sum(file.stat().st_size for file in KEPT.glob("*"))
+    if size > MOST_KEPT and not hasattr(config, "workerinput"):
+        shutil.rmtree(KEPT)
+
+
+def pytest_report_header(config):
+    return None if config.option.everything else "the quick tests; --everything runs all of them"
+
+
+COUNTS = pytest.StashKey[dict[str, int]]()
+
+
+def pytest_collection_modifyitems(config, items):
+    """Marks what is not quick, and leaves it out unless --everything or -m asks for it."""
+    mark(items)
+    quick = [item for item in items if is_quick(item)]
+    others = [item for item in items if not is_quick(item)]
+    config.stash[COUNTS] = {"all": len(items), "quick": len(quick), "others": len(others)}
+    if not config.option.everything and not config.option.markexpr:
+        config.hook.pytest_deselected(items=others)
+        items[:] = quick
+
+
+@pytest.fixture
+def counts(request):
+    """How many tests were found, and how many of them are quick."""
+    return request.config.stash[COUNTS]
 
 
 @pytest.fixture
@@ -16,7 +74,12 @@ def x64():
 
 
 @pytest.fixture(autouse=True, scope="module")
-def programs():
-    """What one file has compiled is not kept for the next: all of it together is 10 GB."""
+def programs(request):
+    """A process that holds many programs lets them go between two files. What tests their keeping begins with none kept."""
+    if request.path.name == "test_cli_cache.py":
+        jax.config.update("jax_compilation_cache_dir", None)
     yield
-    jax.clear_caches()
+    jax.config.update("jax_compilation_cache_dir", os.environ["JAX_COMPILATION_CACHE_DIR"])
+    maps = Path("/proc/self/maps")
+    if not maps.exists() or maps.read_bytes().count(b"\n") > MOST_MAPS:
+        jax.clear_caches()

@@ -89,8 +89,9 @@ def read_columns(path) -> dict[str, np.ndarray]:
             return {name: file[name] for name in file.files if name != "metadata"}
     table = pq.read_table(path)
     ragged = [field.name for field in table.schema if pa.types.is_list(field.type)]
-    return {name: table[name].to_pylist() if name in ragged else np.array(table[name].to_pylist())
-            for name in table.column_names}
+    return {
+        name: table[name].to_pylist() if name in ragged else np.array(table[name].to_pylist()) for name in table.column_names
+    }
 
 
 def read_metadata(path) -> dict:
@@ -131,10 +132,12 @@ LISTS = contact_lists(N)
 COLUMNS = {"parquet": arrow_contacts(LISTS), "npz": padded_contacts(LISTS)}
 """Contacts that differ from row to row, by the extension of the file."""
 LEFT, RIGHT = FEET["contacts"]
-SETS = {"sets": [
-    {"name": "left", "contacts": [LEFT]},
-    {"contacts": [LEFT, RIGHT]},
-    {"name": "flight", "contacts": []},
-]}
+SETS = {
+    "sets": [
+        {"name": "left", "contacts": [LEFT]},
+        {"contacts": [LEFT, RIGHT]},
+        {"name": "flight", "contacts": []},
+    ]
+}
 NUMBERS = np.arange(N) % 3
 """Of the set that belongs to a row."""

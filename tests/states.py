@@ -3,6 +3,7 @@
 from functools import cache
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from samplers import random_contacts, random_state
 
@@ -51,7 +52,30 @@ def stack(trees):
     return jax.tree.map(lambda *leaves: np.stack(leaves), *trees)
 
 
-@cache
+TOGETHER = 60
+"""States that one program answers: however many there are, they go through it by so many, and it is compiled once."""
+DOWN = (0.0, 0.0, -9.81)
+
+
 def each():
-    """`capturability` with a cone for each state, compiled."""
-    return jax.jit(jax.vmap(jaxcap.capturability))
+    """`capturability` with a cone for each state, of which it takes any number."""
+    return _each
+
+
+def _each(cones, coms, velocities, gravity=DOWN):
+    count = len(coms)
+    padded = jax.tree.map(lambda leaf: _padded(np.asarray(leaf)), (cones, coms, velocities))
+    starts = range(0, count, TOGETHER)
+    parts = [_program()(*jax.tree.map(lambda leaf, i=i: leaf[i : i + TOGETHER], padded), np.array(gravity)) for i in starts]
+    return jax.tree.map(lambda *fields: jnp.asarray(np.concatenate(fields)[:count]), *parts)
+
+
+def _padded(leaf):
+    """The last row again and again, up to whole calls of the program."""
+    return np.concatenate([leaf, np.repeat(leaf[-1:], -len(leaf) % TOGETHER, axis=0)])
+
+
+@cache
+def _program():
+    """One for each form and precision; gravity is an argument, so that another one needs no other program."""
+    return jax.jit(jax.vmap(lambda *state: jaxcap.capturability(*state[:3], gravity=state[3]), in_axes=(0, 0, 0, None)))

@@ -41,7 +41,8 @@ def test_what_is_left_is_sorted_by_kind_and_slope(n):
     left = rng.integers(0, 8, n).astype(np.int8)
     slope = rng.normal(scale=10, size=n).astype(np.float32)
     odd = rng.random(n) < 0.1
-    order, count = unsettled(left, np.where(odd, rng.choice([np.nan, np.inf, -np.inf], n), slope).astype(np.float32), LANES)
+    slopes = np.where(odd, rng.choice([np.nan, np.inf, -np.inf], n), slope).astype(np.float32)
+    order, count = unsettled(jnp.asarray(left), jnp.asarray(slopes), LANES)
     assert len(order) % LANES == 0 and count == (left > 0).sum()
     order = np.asarray(order)[:count]
     np.testing.assert_array_equal(np.sort(order), np.flatnonzero(left))

@@ -1,6 +1,7 @@
 """The program: options, exit codes, what is printed, signals. What it refuses is in `test_bad_input`."""
 
 import contextlib
+import json
 import os
 import pty
 import signal
@@ -26,6 +27,7 @@ from state_files import (
 )
 
 import jaxcap
+from jaxcap.commands import cli
 from jaxcap.commands.cli import main
 from jaxcap.files.fields import FIELDS
 from jaxcap.one_state.result import Case, Status
@@ -71,7 +73,9 @@ def start(*arguments, **options):
     root = Path(__file__).parents[1]
     path = os.pathsep.join([str(root), str(root / "tests")])
     return subprocess.Popen(
-        [sys.executable, "-c", SLOW, *map(str, arguments)], text=True, env={**os.environ, "PYTHONPATH": path},
+        [sys.executable, "-c", SLOW, *map(str, arguments)],
+        text=True,
+        env={**os.environ, "PYTHONPATH": path},
         **{"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, **options},
     )
 
@@ -152,14 +156,31 @@ def test_arrays_that_are_not_carried_through_are_named(fake, arguments, tmp_path
     assert "note: " in (error := capsys.readouterr().err) and "'dt'" in error
 
 
-def test_positions_that_are_rounded_are_told(fake, arguments, tmp_path, capsys):
-    """Map coordinates: single precision is too coarse for them."""
-    write_states(tmp_path / "states.npz", com=states(10)[0] + np.array([5e5, 5e6, 0]))
-    assert main(arguments) == 0
-    said = "positions 5e+06 m from the origin are rounded to 0.5 m (--dtype float64 keeps them)"
-    assert capsys.readouterr().err == f"note: {tmp_path / 'states.npz'}: {said}\n"
-    assert main([*arguments, "--force", "--dtype", "float64"]) == 0
-    assert capsys.readouterr().err == ""
+def test_map_coordinates_lose_nothing(tmp_path):
+    """Positions and contacts reach the scorer in double precision, whatever the precision of the answers."""
+    coms, velocities = states(50)
+    found = []
+    for name, place in (("here", np.zeros(3)), ("there", np.array([5e5, 5e6, 300]))):
+        feet = [
+            {
+                "type": "rectangle",
+                "position": np.add(place, [0, y, 0]).tolist(),
+                "half_length": 0.1,
+                "half_width": 0.06,
+                "friction": 0.5,
+            }
+            for y in (0.1, -0.1)
+        ]
+        (tmp_path / f"{name}.json").write_text(json.dumps({"contacts": feet}))
+        write_states(tmp_path / f"{name}.npz", com=coms + place, com_velocity=velocities)
+        output = tmp_path / f"{name}.parquet"
+        assert main(command(tmp_path / f"{name}.npz", tmp_path / f"{name}.json", output, "--baselines")) == 0
+        found.append(read_columns(output))
+    here, there = found
+    assert here["margin"].dtype == np.float32 and 0 < here["capturable"].sum() < 50
+    np.testing.assert_array_equal(here["capturable"], there["capturable"])
+    for name in ("margin", "capture_point_support", "capture_point_hull"):
+        np.testing.assert_allclose(here[name], there[name], rtol=0, atol=1e-4, err_msg=name)
 
 
 def test_progress_bar_on_a_terminal(tmp_path, arguments):
@@ -246,7 +267,7 @@ def test_zero_rows(tmp_path, capsys, source, target):
 
 def test_the_last_batch_has_the_shape_of_the_others(monkeypatch, tmp_path, arguments):
     shapes = []
-    monkeypatch.setattr(jaxcap, "score", lambda cone, c, v, gravity: shapes.append(c.shape) or fake_score(cone, c, v))
+    monkeypatch.setattr(jaxcap, "score", lambda cone, c, v, **_: shapes.append(c.shape) or fake_score(cone, c, v))
     assert main([*arguments, "--batch-size", "4"]) == 0
     assert shapes == [(4, 3)] * 4  # one to compile
     assert pq.read_metadata(tmp_path / "out.parquet").num_rows == 10
@@ -287,6 +308,52 @@ def test_a_signal_leaves_nothing(tmp_path, arguments, number, code):
     _, error = process.communicate(timeout=60)
     assert process.returncode == code and "Traceback" not in error
     assert sorted(os.listdir(tmp_path)) == ["feet.yaml", "states.npz"]
+
+
+LOST = SLOW.replace(
+    "    time.sleep(0.02)\n",
+    """\
+    if len(calls) == 1:
+        class Callback:
+            def __del__(self):
+                time.sleep(60)   # a handler that raises here raises for nobody
+        Callback()
+    time.sleep(0.02)
+""",
+)
+"""The same, at first in a place where Python drops exceptions, as it does in callbacks of libraries."""
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_signal_whose_exception_is_lost_still_ends_the_run(tmp_path, number, code):
+    """F9: or the run goes on to its end, and its exit code says 0."""
+    write_states(tmp_path / "states.npz", 500)
+    write_contacts(tmp_path / "feet.yaml")
+    arguments = command(tmp_path / "states.npz", tmp_path / "feet.yaml", tmp_path / "out.parquet", "--batch-size", "5")
+    root = Path(__file__).parents[1]
+    path = os.pathsep.join([str(root), str(root / "tests")])
+    process = subprocess.Popen(
+        [sys.executable, "-c", LOST, *arguments],
+        text=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        env={**os.environ, "PYTHONPATH": path},
+    )
+    assert process.stdout.readline() == "scoring\n"
+    time.sleep(0.3)
+    process.send_signal(number)
+    error = process.communicate(timeout=50)[1]
+    assert process.returncode == code and "Traceback" not in error
+    assert sorted(os.listdir(tmp_path)) == ["feet.yaml", "states.npz"]
+
+
+def test_a_signal_leaves_without_taking_the_interpreter_down(monkeypatch):
+    """F9: threads inside XLA would meet an interpreter that is no more, and end the process by a segmentation fault."""
+    left = []
+    monkeypatch.setattr(cli, "_leave", left.append)
+    monkeypatch.setattr(cli, "_outcome", lambda arguments: 143)
+    assert main() == 143 and left == [143]
+    assert main([]) == 143 and left == [143]  # within a process of someone else
 
 
 def test_interrupt_in_process(monkeypatch, tmp_path, arguments, capsys):

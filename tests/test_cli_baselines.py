@@ -34,7 +34,6 @@ FOOT = [rectangle([0, y, 0], np.eye(3), 0.1, 0.05, 0.5) for y in (0.1, -0.1)]
 def quick(monkeypatch):
     """A predictor that compiles nothing: it is the baselines that are tested."""
     score = lambda cone, coms, com_velocities, **_: fake_score(cone, coms, com_velocities)
-    monkeypatch.setattr(contact_rows, "score", score)
     monkeypatch.setattr(jaxcap, "score", score)
 
 
@@ -124,11 +123,14 @@ def test_without_the_option_nothing_changes(tmp_path):
     assert "capture_point_height" not in about and not set(BASELINES) & set(about["units"])
 
 
-@pytest.mark.parametrize(("options", "message"), [
-    (["--height", "0.8"], "--height 0.8 (expected with --baselines"),
-    (["--baselines", "--height", "0"], "--height 0.0 (expected a positive number of metres)"),
-    (["--baselines", "--height", "nan"], "--height nan (expected a positive number of metres)"),
-])
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--height", "0.8"], "--height 0.8 (expected with --baselines"),
+        (["--baselines", "--height", "0"], "--height 0.0 (expected a positive number of metres)"),
+        (["--baselines", "--height", "nan"], "--height nan (expected a positive number of metres)"),
+    ],
+)
 def test_heights_that_are_refused(tmp_path, capsys, options, message):
     assert run(tmp_path, *options, document=FEET) == 2
     assert message in capsys.readouterr().err

@@ -43,7 +43,6 @@ def scored(monkeypatch):
         calls.append({"rows": len(coms), "type": type(cone), **options})
         return fake_score(cone, coms, com_velocities)
 
-    monkeypatch.setattr(contact_rows, "score", score)
     monkeypatch.setattr(jaxcap, "score", score)
     return calls
 
@@ -169,8 +168,10 @@ def test_every_batch_size_gives_the_same(tmp_path, scored, capsys, size):
 
 
 def test_rows_without_any_state(tmp_path, scored, capsys):
-    for columns, document in (({name: rows[:0] for name, rows in COLUMNS["parquet"].items()}, None),
-                              ({"contact_set": NUMBERS[:0]}, SETS)):
+    for columns, document in (
+        ({name: rows[:0] for name, rows in COLUMNS["parquet"].items()}, None),
+        ({"contact_set": NUMBERS[:0]}, SETS),
+    ):
         assert run(tmp_path, columns, document, options=["--force"]) == 0
         assert "no states" in capsys.readouterr().out and not scored
 
@@ -230,8 +231,9 @@ def test_one_row_that_cannot_be_used(tmp_path, scored, capsys, name):
 @pytest.mark.parametrize("spelling", ["nested", "flat"])
 def test_a_row_of_null(tmp_path, scored, capsys, column, spelling):
     columns = arrow_contacts(LISTS, spelling)
-    columns[column] = pa.array([None if i in (5, 9) else row for i, row in enumerate(columns[column].to_pylist())],
-                               columns[column].type)
+    columns[column] = pa.array(
+        [None if i in (5, 9) else row for i, row in enumerate(columns[column].to_pylist())], columns[column].type
+    )
     assert run(tmp_path, columns) == 0
     assert f"2 rows cannot be used, these have status nonfinite; first row 5: {column} is null" in capsys.readouterr().err
     assert np.flatnonzero(read_columns(tmp_path / "out.parquet")["status"]).tolist() == [5, 9]
@@ -263,11 +265,20 @@ def test_a_mask_decides_alone(tmp_path, scored, capsys):
     assert f"first row {row}: contact_points[7] = [nan, nan, nan] (expected finite numbers)" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(("values", "words"), [
-    (np.where(NUMBERS == 2, 3, NUMBERS), "13 rows cannot be used, these have status nonfinite; first row 2: contact_set"),
-    (["left"] * 39 + ["right"], "1 rows cannot be used, these have status nonfinite; first row 39: contact_set = 'right'"),
-    ([None] + [0] * 39, "first row 0: contact_set is null"),
-])
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        (
+            np.where(NUMBERS == 2, 3, NUMBERS),
+            "13 rows cannot be used, these have status nonfinite; first row 2: contact_set",
+        ),
+        (
+            ["left"] * 39 + ["right"],
+            "1 rows cannot be used, these have status nonfinite; first row 39: contact_set = 'right'",
+        ),
+        ([None] + [0] * 39, "first row 0: contact_set is null"),
+    ],
+)
 def test_choices_that_there_are_not(tmp_path, scored, capsys, values, words):
     assert run(tmp_path, {"contact_set": values}, SETS) == 0
     assert words in capsys.readouterr().err
@@ -280,29 +291,40 @@ SQUARE = np.tile(np.eye(3), (N, 8, 1, 1))
 OWN = {"contact_points": np.zeros((N, 8, 3)), "contact_frames": SQUARE, "contact_friction": np.ones((N, 8))}
 
 
-@pytest.mark.parametrize(("columns", "document", "words"), [
-    ({}, None, ["no contacts (expected --contacts, or columns 'contact_points', ...)"]),
-    ({"contact_set": NUMBERS}, None, ["no contacts (expected --contacts, in which 'contact_set' chooses)"]),
-    ({}, SETS, ["no column 'contact_set', which chooses among the 3 sets of", "contacts.json"]),
-    (OWN, FEET, ["column 'contact_points' gives each row its contacts (expected no --contacts"]),
-    (OWN, SETS, ["column 'contact_points' gives each row its contacts (expected no --contacts"]),
-    (OWN | {"contact_set": NUMBERS}, FEET, ["both 'contact_points' and 'contact_set'"]),
-    (OWN | {"contact_points": None}, None, ["no column 'contact_points' beside 'contact_frames'"]),
-    (OWN | {"contact_frames": None}, None, ["no column 'contact_frames' beside 'contact_points'"]),
-    (OWN | {"contact_friction": None}, None, ["no column 'contact_friction' beside 'contact_points'"]),
-    ({"contact_mask": np.ones((N, 8), bool)}, None, ["no column 'contact_points' beside 'contact_mask'"]),
-    (OWN | {"contact_points": np.zeros((N, 8, 2))}, None, ["'contact_points' has rows of shape (8, 2)", "k x 3 or 3 k"]),
-    (OWN | {"contact_points": np.zeros((N, 8))}, None, ["'contact_points' has rows of shape (8) (expected k x 3 or 3 k"]),
-    (OWN | {"contact_points": np.zeros((N, 7, 3))}, None, ["'contact_frames' has 8 contacts a row (expected 7, as"]),
-    (OWN | {"contact_points": np.zeros((N, 65, 3))}, None, ["'contact_points' has 65 contacts a row (expected at most 64)"]),
-    (OWN | {"contact_frames": np.zeros((N, 3, 3))}, None, ["'contact_frames' has rows of shape (3, 3)"]),
-    (OWN | {"contact_friction": np.ones((N, 8, 1))}, None, ["has rows of shape (8, 1) (expected k numbers, or one)"]),
-    (OWN | {"contact_mask": np.ones(N, bool)}, None, ["'contact_mask' has rows of shape ()", "a list of k booleans"]),
-    (OWN | {"contact_mask": np.ones((N, 8))}, None, ["'contact_mask' has", "booleans"]),
-    (OWN | {"contact_points": np.zeros((N, 8, 3), "U1")}, None, ["'contact_points' has"]),
-    ({"contact_set": NUMBERS + 0.5}, SETS, ["'contact_set' has", "(expected integers or names)"]),
-    ({"contact_set": NUMBERS[:, None]}, SETS, ["'contact_set' has"]),
-])
+@pytest.mark.parametrize(
+    ("columns", "document", "words"),
+    [
+        ({}, None, ["no contacts (expected --contacts, or columns 'contact_points', ...)"]),
+        ({"contact_set": NUMBERS}, None, ["no contacts (expected --contacts, in which 'contact_set' chooses)"]),
+        ({}, SETS, ["no column 'contact_set', which chooses among the 3 sets of", "contacts.json"]),
+        (OWN, FEET, ["column 'contact_points' gives each row its contacts (expected no --contacts"]),
+        (OWN, SETS, ["column 'contact_points' gives each row its contacts (expected no --contacts"]),
+        (OWN | {"contact_set": NUMBERS}, FEET, ["both 'contact_points' and 'contact_set'"]),
+        (OWN | {"contact_points": None}, None, ["no column 'contact_points' beside 'contact_frames'"]),
+        (OWN | {"contact_frames": None}, None, ["no column 'contact_frames' beside 'contact_points'"]),
+        (OWN | {"contact_friction": None}, None, ["no column 'contact_friction' beside 'contact_points'"]),
+        ({"contact_mask": np.ones((N, 8), bool)}, None, ["no column 'contact_points' beside 'contact_mask'"]),
+        (OWN | {"contact_points": np.zeros((N, 8, 2))}, None, ["'contact_points' has rows of shape (8, 2)", "k x 3 or 3 k"]),
+        (
+            OWN | {"contact_points": np.zeros((N, 8))},
+            None,
+            ["'contact_points' has rows of shape (8) (expected k x 3 or 3 k"],
+        ),
+        (OWN | {"contact_points": np.zeros((N, 7, 3))}, None, ["'contact_frames' has 8 contacts a row (expected 7, as"]),
+        (
+            OWN | {"contact_points": np.zeros((N, 65, 3))},
+            None,
+            ["'contact_points' has 65 contacts a row (expected at most 64)"],
+        ),
+        (OWN | {"contact_frames": np.zeros((N, 3, 3))}, None, ["'contact_frames' has rows of shape (3, 3)"]),
+        (OWN | {"contact_friction": np.ones((N, 8, 1))}, None, ["has rows of shape (8, 1) (expected k numbers, or one)"]),
+        (OWN | {"contact_mask": np.ones(N, bool)}, None, ["'contact_mask' has rows of shape ()", "a list of k booleans"]),
+        (OWN | {"contact_mask": np.ones((N, 8))}, None, ["'contact_mask' has", "booleans"]),
+        (OWN | {"contact_points": np.zeros((N, 8, 3), "U1")}, None, ["'contact_points' has"]),
+        ({"contact_set": NUMBERS + 0.5}, SETS, ["'contact_set' has", "(expected integers or names)"]),
+        ({"contact_set": NUMBERS[:, None]}, SETS, ["'contact_set' has"]),
+    ],
+)
 @pytest.mark.parametrize("extension", ["parquet", "npz"])
 def test_columns_of_contacts_that_are_refused(tmp_path, scored, capsys, columns, document, words, extension):
     columns = {name: x for name, x in columns.items() if x is not None}

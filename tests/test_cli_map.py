@@ -19,7 +19,7 @@ from jaxcap.commands.cli import main
 from jaxcap.files.contact_files import read_contacts
 from jaxcap.maps import blocks as map_blocks
 from jaxcap.maps import kernel_map
-from jaxcap.maps.grid import axes_around, grid
+from jaxcap.maps.grid import axes_around, grid_of
 
 SMALL = ("--axis", "com_x=0:0.1:3", "--axis", "com_y=0", "--axis", "heading=0:90deg:2")
 
@@ -147,18 +147,23 @@ def test_velocities_by_components_need_no_heading(tmp_path, contacts, fake):
 
 def test_defaults_lie_around_the_contacts():
     contacts = read_contacts(Path(__file__).parents[1] / "bench" / "data" / "talos_hand_on_wall.yaml")
-    axes = grid(axes_around(contacts, {"com_y": 0.25, "speed": 0.5})).axes
+    axes = grid_of(axes_around(contacts, {"com_y": 0.25, "speed": 0.5})).axes
     low, high = contacts.points.min(axis=0), contacts.points.max(axis=0)
     np.testing.assert_allclose(axes["com_x"], np.linspace(low[0] - 0.1, high[0] + 0.1, 41))
     assert axes["com_y"] == 0.25 and axes["com_z"] == low[2] + 0.8 and axes["speed"] == 0.5
     assert len(axes["heading"]) == 72
 
 
-def test_places_that_are_rounded_are_told(tmp_path, contacts, fake, capsys):
-    far = [*SMALL, "--axis", "com_z=500000"]
+def test_places_that_are_hardly_plausible_are_told(tmp_path, contacts, fake, capsys):
+    """R4: one line, and in the map; with --strict an error, and no map."""
+    far, words = [*SMALL, "--axis", "com_z=800"], "the CoM is more than 10 m from all contacts"
     assert main(command(contacts, tmp_path / "map.zarr", *far)) == 0
-    assert "positions 5e+05 m from the origin are rounded to 0.031 m (--dtype float64" in capsys.readouterr().err
-    assert main(command(contacts, tmp_path / "map.zarr", *far, "--force", "--dtype", "float64")) == 0
+    assert [words in line for line in capsys.readouterr().err.splitlines()] == [True]
+    with xr.open_dataset(tmp_path / "map.zarr", engine="zarr") as found:
+        assert words in found.attrs["notes"]
+    assert main(command(contacts, tmp_path / "strict.zarr", *far, "--strict")) == 2
+    assert words in capsys.readouterr().err and not (tmp_path / "strict.zarr").exists()
+    assert main(command(contacts, tmp_path / "near.zarr", *SMALL, "--strict")) == 0
     assert capsys.readouterr().err == ""
 
 
@@ -218,7 +223,7 @@ def test_interrupted_and_continued(tmp_path, contacts, monkeypatch):
     """Ctrl-C: exit code 130, nothing under the name of the map, and the same command goes on."""
     output, axes = tmp_path / "map.zarr", ("--axis", "com_x=0:0.1:8", "--axis", "com_y=0:0.1:8", "--axis", "heading=0:1:8")
     run = start(0.05, *command(contacts, output, *axes))
-    for _ in range(3):   # regions
+    for _ in range(3):  # regions
         run.stdout.readline()
     run.send_signal(signal.SIGINT)
     _, error = run.communicate(timeout=60)
@@ -231,7 +236,7 @@ def test_interrupted_and_continued(tmp_path, contacts, monkeypatch):
     assert f"{8**3} states; " in text and " were there" in text and int(text.split()[0]) >= 3
     monkeypatch.setattr(map_blocks, "REGION", 16)
     with xr.open_dataset(output) as found:
-        points = grid({name: found[name].values for name in found.coords})
+        points = grid_of({name: found[name].values for name in found.coords})
         assert (found.max_speed.values.ravel()[[0, -1]] == [0, len(map_blocks.regions(points)) - 1]).all()
 
 
@@ -256,9 +261,11 @@ def test_a_map_killed_five_times_at_random_is_the_same_to_the_bit(tmp_path, cont
     assert not (tmp_path / "map.zarr").exists()
     assert run(tmp_path / "map.zarr").wait() == 0
     assert not journal.parent.exists()
-    whole, killed = ({file.relative_to(tmp_path / name): file for file in (tmp_path / name).rglob("*") if file.is_file()}
-                     for name in ("whole.zarr", "map.zarr"))
-    assert whole.keys() == killed.keys() and len(whole) > 3 * 30   # chunks of three quantities
+    whole, killed = (
+        {file.relative_to(tmp_path / name): file for file in (tmp_path / name).rglob("*") if file.is_file()}
+        for name in ("whole.zarr", "map.zarr")
+    )
+    assert whole.keys() == killed.keys() and len(whole) > 3 * 30  # chunks of three quantities
     assert all(file.read_bytes() == killed[name].read_bytes() for name, file in whole.items())
 
 
@@ -269,7 +276,7 @@ def test_a_terminal_sees_a_bar(tmp_path, contacts):
     run.communicate(timeout=60)
     os.close(end)
     shown = b""
-    with contextlib.suppress(OSError):   # the end of a terminal that nobody holds open
+    with contextlib.suppress(OSError):  # the end of a terminal that nobody holds open
         while piece := os.read(terminal, 4096):
             shown += piece
     os.close(terminal)

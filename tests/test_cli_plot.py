@@ -69,7 +69,7 @@ def test_the_overview_shows_the_weakest_heading_areas_and_contacts():
     assert left.get_xlim() == right.get_xlim() and left.get_ylim() == right.get_ylim()
     assert left.get_xlabel() == right.get_xlabel() == "CoM position x [m]" and "[m]" in right.get_ylabel()
     assert [child.get_ylabel() for child in left.child_axes] == ["largest capturable speed, weakest heading [m/s]"]
-    assert len(right.patches) == 16   # areas at 4 x 4 positions
+    assert len(right.patches) == 16  # areas at 4 x 4 positions
 
 
 @pytest.mark.parametrize("extension", ["png", "pdf", "svg"])
@@ -83,8 +83,9 @@ def test_a_slice_goes_into_the_file_that_is_asked_for(kernel, tmp_path, extensio
 def test_degrees_are_radians_of_the_map(kernel, tmp_path, monkeypatch):
     titles = []
     save = Figure.savefig
-    monkeypatch.setattr(Figure, "savefig", lambda figure, *args, **kw: titles.append(figure.axes[0].get_title())
-                        or save(figure, *args, **kw))
+    monkeypatch.setattr(
+        Figure, "savefig", lambda figure, *args, **kw: titles.append(figure.axes[0].get_title()) or save(figure, *args, **kw)
+    )
     plot(kernel, "-o", tmp_path / "a.png", "--select", "heading=90deg")
     plot(kernel, "-o", tmp_path / "b.png", "--select", "heading=1.6")
     assert titles == ["com_z = 0.8 m, heading = 90 deg"] * 2
@@ -111,20 +112,23 @@ def test_nothing_is_overwritten_unasked(kernel, capsys):
     assert plot(kernel, "--force") == 0 and figure.read_bytes().startswith(b"\x89PNG")
 
 
-@pytest.mark.parametrize(("arguments", "message"), [
-    (["--quantity", "margin"], "'margin' is not in the map (it holds"),
-    (["--x", "com_z"], "'com_z' is not an axis of max_speed (expected one of com_x, com_y, heading)"),
-    (["--x", "com_x", "--y", "com_x"], "the axis com_x is asked for twice"),
-    (["--select", "heading=9"], "heading = 9 is not on the grid (expected from 0 to 5.49779)"),
-    (["--select", "com_x=0", "--select", "com_y=0"], "max_speed has the axes com_x, com_y, heading at a value"),
-    (["--select", "heading"], "--select heading (expected NAME=VALUE"),
-    (["--select", "heading=up"], "--select heading=up (expected a number"),
-    (["--select", "com_x=nan"], "--select com_x=nan (expected a finite number"),
-    (["--select", "com_x=1deg"], "--select com_x=1deg (expected a number"),
-    (["--select", "com_x=0", "--select", "com_x=0"], "--select com_x is given twice"),
-    (["-o", "kernel.gif"], "unknown extension '.gif' (expected .png, .pdf or .svg)"),
-    (["-o", "nowhere/kernel.png"], "no such directory"),
-])
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--quantity", "margin"], "'margin' is not in the map (it holds"),
+        (["--x", "com_z"], "'com_z' is not an axis of max_speed (expected one of com_x, com_y, heading)"),
+        (["--x", "com_x", "--y", "com_x"], "the axis com_x is asked for twice"),
+        (["--select", "heading=9"], "heading = 9 is not on the grid (expected from 0 to 5.49779)"),
+        (["--select", "com_x=0", "--select", "com_y=0"], "max_speed has the axes com_x, com_y, heading at a value"),
+        (["--select", "heading"], "--select heading (expected NAME=VALUE"),
+        (["--select", "heading=up"], "--select heading=up (expected a number"),
+        (["--select", "com_x=nan"], "--select com_x=nan (expected a finite number"),
+        (["--select", "com_x=1deg"], "--select com_x=1deg (expected a number"),
+        (["--select", "com_x=0", "--select", "com_x=0"], "--select com_x is given twice"),
+        (["-o", "kernel.gif"], "unknown extension '.gif' (expected .png, .pdf or .svg)"),
+        (["-o", "nowhere/kernel.png"], "no such directory"),
+    ],
+)
 def test_what_cannot_be_plotted_is_told_before_anything_is_drawn(kernel, capsys, monkeypatch, arguments, message):
     monkeypatch.chdir(kernel.parent)
     monkeypatch.setattr(Figure, "savefig", lambda *_, **__: pytest.fail("drawn"))

@@ -14,7 +14,7 @@ from jaxcap.files.contact_files import read_contact_sets
 from jaxcap.maps import blocks as map_blocks
 from jaxcap.maps import kernel_map, write_map
 from jaxcap.maps.contact_axes import contacts_at
-from jaxcap.maps.grid import axes_around, grid
+from jaxcap.maps.grid import axes_around, grid_of
 from jaxcap.plotting.map_figure import map_figure
 
 FOOT = jaxcap.rectangle([0, 0.1, 0], np.eye(3), 0.1, 0.05, 0.5)
@@ -60,8 +60,8 @@ def test_a_slope_is_gravity_turned(x64):
     """A robot on a slope is one on level ground, under gravity that is not upright: in the frame of its contacts."""
     slope, downhill = 0.15, 2.0
     turn = np.array(rotation(0, 0, downhill)) @ rotation(0, slope, 0) @ rotation(0, 0, -downhill)
-    assert (turn @ [np.cos(downhill), np.sin(downhill), 0])[2] == pytest.approx(-np.sin(slope))   # downhill goes down
-    coms, velocities = grid({**AXES, "speed": 0.1}).states(np.arange(64))
+    assert (turn @ [np.cos(downhill), np.sin(downhill), 0])[2] == pytest.approx(-np.sin(slope))  # downhill goes down
+    coms, velocities = grid_of({**AXES, "speed": 0.1}).states(np.arange(64))
     centroid = FEET.points.mean(axis=0)
     cone, gravity = jaxcap.centroidal_cone(FEET), np.array([0, 0, -9.81])
     level = jaxcap.score(cone, centroid + (coms - centroid) @ turn, velocities @ turn, gravity @ turn)
@@ -76,7 +76,7 @@ def test_a_slope_turns_with_its_heading(x64):
     slopes = kernel_map(FEET, {**PLACE, "slope": [-0.1, 0.1], "downhill": [0.5, 0.5 + np.pi]}).max_speed
     np.testing.assert_allclose(slopes[0, 0], slopes[1, 1], rtol=1e-9)
     np.testing.assert_allclose(slopes[0, 1], slopes[1, 0], rtol=1e-9)
-    directions = grid({**PLACE, "slope": 0.1, "downhill": "0:360deg:8"}).axes["downhill"]
+    directions = grid_of({**PLACE, "slope": 0.1, "downhill": "0:360deg:8"}).axes["downhill"]
     np.testing.assert_allclose(directions, np.arange(8) * np.pi / 4)
 
 
@@ -201,7 +201,7 @@ def test_a_section_that_is_interrupted_goes_on(tmp_path, monkeypatch):
             write_map(tmp_path / "map.zarr", [FOOT, FEET], axes)
     with pytest.raises(InputError, match="unfinished map with other"):
         write_map(tmp_path / "map.zarr", [FOOT, FOOT], axes)
-    assert write_map(tmp_path / "map.zarr", [FOOT, FEET], axes) == 3 * grid(AXES).size
+    assert write_map(tmp_path / "map.zarr", [FOOT, FEET], axes) == 3 * grid_of(AXES).size
     with xr.open_dataset(tmp_path / "map.zarr") as found:
         xr.testing.assert_identical(found.load(), expected)
 
@@ -223,7 +223,7 @@ def test_the_command_line_maps_sections_and_draws_them(tmp_path, capsys):
         for number, count in ((0, 1), (1, 2)):
             figure, _ = map_figure(found, sets, None, (None, None), {"contact_set": number, "slope": 0.08727})
             soles = [patch for patch in figure.axes[0].patches if len(patch.get_xy()) == 5]
-            assert len(soles) == count   # turned about their centroid, seen from above
+            assert len(soles) == count  # turned about their centroid, seen from above
             assert np.ptp(soles[0].get_xy()[:, 0]) == pytest.approx(0.2 * np.cos(np.radians(5)))
             name = ("left_foot", "feet")[number]
             assert figure.get_suptitle() == f"com_z = 0.8 m, pitch = 0 deg, contact_set = {name}, slope = 5 deg"

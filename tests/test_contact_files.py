@@ -98,42 +98,48 @@ def assert_refused(path, *words):
     assert all(word in str(caught.value) for word in (path.name, *words)), caught.value
 
 
-@pytest.mark.parametrize(("document", "words"), [
-    ({"contacts": []}, ["contacts: []", "at least one entry"]),
-    ({"contacts": {}}, ["at least one entry"]),
-    ({"contacts": None}, ["at least one entry"]),
-    ({}, ["the one key 'contacts'"]),
-    ({"contacts": [POINT], "gravity": 9.81}, ["'gravity'", "the one key 'contacts'"]),
-    ([POINT], ["expected a mapping"]),
-    ("rectangle", ["expected a mapping"]),
-    ({"sets": []}, ["sets: []", "at least one entry"]),
-    ({"sets": {"left": FEET}}, ["sets: {'left'", "expected a list"]),
-    ({"sets": [FEET], "contacts": [POINT]}, ["keys 'sets', 'contacts'", "the one key 'contacts' or 'sets'"]),
-    ({"sets": [[POINT]]}, ["sets[0]: [{", "expected a mapping"]),
-    ({"sets": [FEET, {"name": "left"}]}, ["sets[1] (left): no field 'contacts'"]),
-    ({"sets": [{"name": 1, "contacts": []}]}, ["sets[0]: name = 1 (expected text)"]),
-    ({"sets": [{"contacts": None}]}, ["sets[0]: contacts: None (expected a list, empty for no contact)"]),
-    ({"sets": [{"contacts": [], "points": 3}]}, ["sets[0]: unknown field 'points' (expected name, contacts)"]),
-    ({"sets": [{"name": "a", "contacts": []}] * 2}, ["sets: more than one has the name 'a'"]),
-    ({"sets": [{"name": "a", "contacts": [POINT, {**POINT, "mu": 1}]}]}, ["sets[0] (a): contacts[1]: unknown field 'mu'"]),
-    ({"contacts": ["sole"]}, ["contacts[0]: 'sole' (expected a mapping)"]),
-    ({"contacts": [POINT, {**POINT, "type": "sphere"}]}, ["[1]: type = 'sphere' (expected rectangle or point)"]),
-    ({"contacts": [{**POINT, "type": ["point"]}]}, ["contacts[0]: type = ['point']"]),
-    ({"contacts": [{"position": [0, 0, 0]}]}, ["contacts[0]: no field 'type'"]),
-    ({"contacts": [{**POINT, "half_length": 0.1}]}, ["contacts[0]: unknown field 'half_length'"]),
-    ({"contacts": [{**POINT, "mu": 0.1}]}, ["contacts[0]: unknown field 'mu'"]),
-    ({"contacts": [{**POINT, "name": 3}]}, ["contacts[0]: name = 3 (expected text)"]),
-    ({"contacts": [{"type": "point", "position": [0, 0, 0]}]}, ["contacts[0]: no field 'friction'"]),
-    ({"contacts": [{**SOLE, "half_width": -0.1}]}, ["contacts[0] (left): half_width = -0.1 (expected a positive"]),
-    ({"contacts": [{**SOLE, "half_width": True}]}, ["contacts[0] (left): half_width = True (expected a number)"]),
-    ({"contacts": [{**SOLE, "half_width": "wide"}]}, ["half_width = 'wide' (expected a number)"]),
-    ({"contacts": [{**POINT, "position": [0, 0]}]}, ["contacts[0]: position has shape (2,) (expected 3 numbers)"]),
-    ({"contacts": [{**POINT, "position": [0, [0], 0]}]}, ["contacts[0]: position = [0, [0], 0] (expected 3 numbers)"]),
-    ({"contacts": [{**POINT, "position": [0, None, 0]}]}, ["position = [0, None, 0] (expected 3 numbers)"]),
-    ({"contacts": [{**POINT, "position": [0, float("nan"), 0]}]}, ["position", "expected finite numbers"]),
-    ({"contacts": [{**POINT, "position": [0, 10**400, 0]}]}, ["position", "expected 3 numbers"]),
-    ({"contacts": [{**POINT, "rotation": [1, 0, 0]}]}, ["rotation has shape (3,) (expected 3x3 numbers)"]),
-])
+@pytest.mark.parametrize(
+    ("document", "words"),
+    [
+        ({"contacts": []}, ["contacts: []", "at least one entry"]),
+        ({"contacts": {}}, ["at least one entry"]),
+        ({"contacts": None}, ["at least one entry"]),
+        ({}, ["the one key 'contacts'"]),
+        ({"contacts": [POINT], "gravity": 9.81}, ["'gravity'", "the one key 'contacts'"]),
+        ([POINT], ["expected a mapping"]),
+        ("rectangle", ["expected a mapping"]),
+        ({"sets": []}, ["sets: []", "at least one entry"]),
+        ({"sets": {"left": FEET}}, ["sets: {'left'", "expected a list"]),
+        ({"sets": [FEET], "contacts": [POINT]}, ["keys 'sets', 'contacts'", "the one key 'contacts' or 'sets'"]),
+        ({"sets": [[POINT]]}, ["sets[0]: [{", "expected a mapping"]),
+        ({"sets": [FEET, {"name": "left"}]}, ["sets[1] (left): no field 'contacts'"]),
+        ({"sets": [{"name": 1, "contacts": []}]}, ["sets[0]: name = 1 (expected text)"]),
+        ({"sets": [{"contacts": None}]}, ["sets[0]: contacts: None (expected a list, empty for no contact)"]),
+        ({"sets": [{"contacts": [], "points": 3}]}, ["sets[0]: unknown field 'points' (expected name, contacts)"]),
+        ({"sets": [{"name": "a", "contacts": []}] * 2}, ["sets: more than one has the name 'a'"]),
+        (
+            {"sets": [{"name": "a", "contacts": [POINT, {**POINT, "mu": 1}]}]},
+            ["sets[0] (a): contacts[1]: unknown field 'mu'"],
+        ),
+        ({"contacts": ["sole"]}, ["contacts[0]: 'sole' (expected a mapping)"]),
+        ({"contacts": [POINT, {**POINT, "type": "sphere"}]}, ["[1]: type = 'sphere' (expected rectangle or point)"]),
+        ({"contacts": [{**POINT, "type": ["point"]}]}, ["contacts[0]: type = ['point']"]),
+        ({"contacts": [{"position": [0, 0, 0]}]}, ["contacts[0]: no field 'type'"]),
+        ({"contacts": [{**POINT, "half_length": 0.1}]}, ["contacts[0]: unknown field 'half_length'"]),
+        ({"contacts": [{**POINT, "mu": 0.1}]}, ["contacts[0]: unknown field 'mu'"]),
+        ({"contacts": [{**POINT, "name": 3}]}, ["contacts[0]: name = 3 (expected text)"]),
+        ({"contacts": [{"type": "point", "position": [0, 0, 0]}]}, ["contacts[0]: no field 'friction'"]),
+        ({"contacts": [{**SOLE, "half_width": -0.1}]}, ["contacts[0] (left): half_width = -0.1 (expected a positive"]),
+        ({"contacts": [{**SOLE, "half_width": True}]}, ["contacts[0] (left): half_width = True (expected a number)"]),
+        ({"contacts": [{**SOLE, "half_width": "wide"}]}, ["half_width = 'wide' (expected a number)"]),
+        ({"contacts": [{**POINT, "position": [0, 0]}]}, ["contacts[0]: position has shape (2,) (expected 3 numbers)"]),
+        ({"contacts": [{**POINT, "position": [0, [0], 0]}]}, ["contacts[0]: position = [0, [0], 0] (expected 3 numbers)"]),
+        ({"contacts": [{**POINT, "position": [0, None, 0]}]}, ["position = [0, None, 0] (expected 3 numbers)"]),
+        ({"contacts": [{**POINT, "position": [0, float("nan"), 0]}]}, ["position", "expected finite numbers"]),
+        ({"contacts": [{**POINT, "position": [0, 10**400, 0]}]}, ["position", "expected 3 numbers"]),
+        ({"contacts": [{**POINT, "rotation": [1, 0, 0]}]}, ["rotation has shape (3,) (expected 3x3 numbers)"]),
+    ],
+)
 @pytest.mark.parametrize("extension", ["json", "yaml"])
 def test_contact_file_with_wrong_entries(tmp_path, document, words, extension):
     write_contacts(tmp_path / f"c.{extension}", document)
@@ -163,19 +169,22 @@ def test_frame_that_is_not_a_rotation(tmp_path, entry, rotation):
     assert_refused(tmp_path / "c.json", "c.json: contacts[0]", "rotation is not a rotation", "(expected +1)")
 
 
-@pytest.mark.parametrize(("name", "text", "words"), [
-    ("c.yaml", "contacts:\n  - type: point\n   position: [0", ["c.yaml: line 3: not YAML"]),
-    ("c.yaml", "contacts: [{type: point, type: point}]", ["c.yaml: line 1", "'type' is given twice"]),
-    ("c.yaml", "contacts: !!python/object/apply:os.getcwd []", ["c.yaml: line 1: not YAML"]),
-    ("c.yaml", "a: \x00", ["c.yaml: not YAML"]),
-    ("c.yaml", "", ["c.yaml: None (expected a mapping"]),
-    ("c.yaml", "? [a]\n: 1", ["c.yaml"]),
-    ("c.yaml", "[" * 5000, ["c.yaml"]),
-    ("c.json", '{"contacts": [\n{"type" "point"}]}', ["c.json: line 2: not JSON"]),
-    ("c.json", '{"contacts": [{"type": "point", "type": "point"}]}', ["c.json: 'type' is given twice"]),
-    ("c.json", "[" * 200_000, ["c.json"]),
-    ("c.json", "", ["c.json: line 1: not JSON"]),
-])
+@pytest.mark.parametrize(
+    ("name", "text", "words"),
+    [
+        ("c.yaml", "contacts:\n  - type: point\n   position: [0", ["c.yaml: line 3: not YAML"]),
+        ("c.yaml", "contacts: [{type: point, type: point}]", ["c.yaml: line 1", "'type' is given twice"]),
+        ("c.yaml", "contacts: !!python/object/apply:os.getcwd []", ["c.yaml: line 1: not YAML"]),
+        ("c.yaml", "a: \x00", ["c.yaml: not YAML"]),
+        ("c.yaml", "", ["c.yaml: None (expected a mapping"]),
+        ("c.yaml", "? [a]\n: 1", ["c.yaml"]),
+        ("c.yaml", "[" * 5000, ["c.yaml"]),
+        ("c.json", '{"contacts": [\n{"type" "point"}]}', ["c.json: line 2: not JSON"]),
+        ("c.json", '{"contacts": [{"type": "point", "type": "point"}]}', ["c.json: 'type' is given twice"]),
+        ("c.json", "[" * 200_000, ["c.json"]),
+        ("c.json", "", ["c.json: line 1: not JSON"]),
+    ],
+)
 def test_contact_file_with_wrong_syntax(tmp_path, name, text, words):
     (tmp_path / name).write_text(text)
     assert_refused(tmp_path / name, *words)

@@ -88,7 +88,8 @@ def test_gradient_of_degenerate_sets_is_never_nan():
     """Not even where the cone is flat, empty, or everything, or the CoM at rest."""
     batch = [
         (*arrays(contacts), com, velocity)
-        for i, contacts in enumerate(DEGENERATE.values()) if len(contacts) <= POINTS
+        for i, contacts in enumerate(DEGENERATE.values())
+        if len(contacts) <= POINTS
         for com, velocity in zip(*degenerate_states(contacts, i, 46), strict=True)
     ]
     batch.append((*batch[0][:3], np.zeros(POINTS, bool), np.array([0, 0, 0.8]), np.array([0.1, 0, 0])))

@@ -61,9 +61,9 @@ SPELLINGS = {
     "inner lists of fixed size.parquet": lambda: arrow_contacts(LISTS, "fixed"),
     "padded with nan.parquet": lambda: fixed(ARRAYS),
     "padded with a mask.parquet": lambda: fixed(masked(ARRAYS)),
-    "padded with nulls.parquet": lambda: arrow_contacts({
-        name: [[*row, *[None] * (8 - len(row))] for row in rows] for name, rows in LISTS.items()
-    }),
+    "padded with nulls.parquet": lambda: arrow_contacts(
+        {name: [[*row, *[None] * (8 - len(row))] for row in rows] for name, rows in LISTS.items()}
+    ),
     "one list of fixed size.parquet": lambda: fixed({name: x.reshape(N, -1) for name, x in ARRAYS.items()}),
     "padded with nan.npz": lambda: ARRAYS,
     "padded with a mask.npz": lambda: masked(ARRAYS),
@@ -113,12 +113,15 @@ def test_whole_numbers_and_single_precision(tmp_path):
     assert contacts.mask.all() and (contacts.friction == 1).all() and not contacts.bad.rows.any()
 
 
-@pytest.mark.parametrize("columns", [
-    {name: [[]] * 3 for name in LISTS},
-    {name: x[:3, :0] for name, x in ARRAYS.items()},
-    {name: x[:3] * np.nan for name, x in ARRAYS.items()},
-    {**{name: x[:3] for name, x in ARRAYS.items()}, "contact_mask": np.zeros((3, 8), bool)},
-])
+@pytest.mark.parametrize(
+    "columns",
+    [
+        {name: [[]] * 3 for name in LISTS},
+        {name: x[:3, :0] for name, x in ARRAYS.items()},
+        {name: x[:3] * np.nan for name, x in ARRAYS.items()},
+        {**{name: x[:3] for name, x in ARRAYS.items()}, "contact_mask": np.zeros((3, 8), bool)},
+    ],
+)
 def test_no_contact_in_any_row(tmp_path, columns):
     extension = "parquet" if isinstance(columns["contact_points"], list) else "npz"
     contacts = contacts_of(write_states(tmp_path / f"a.{extension}", 3, **columns))
@@ -137,26 +140,28 @@ def test_contacts_are_padded_in_each_batch_to_a_multiple_of_four(tmp_path):
 
 PLAIN = [[2, 0, 1], ["c", "a", "b"], np.array([2, 0, 1], np.uint64), np.array(["c", "a", "b"])]
 ARROW = [
-    pa.array([2, 0, 1], pa.uint8()), pa.array(["c", "a", "b"], pa.large_string()),
+    pa.array([2, 0, 1], pa.uint8()),
+    pa.array(["c", "a", "b"], pa.large_string()),
     pa.array(["c", "a", "b"]).dictionary_encode(),
 ]
 
 
-@pytest.mark.parametrize(
-    ("extension", "column"), [*(("parquet", x) for x in PLAIN + ARROW), *(("npz", x) for x in PLAIN)]
-)
+@pytest.mark.parametrize(("extension", "column"), [*(("parquet", x) for x in PLAIN + ARROW), *(("npz", x) for x in PLAIN)])
 def test_choices_by_number_and_by_name(tmp_path, column, extension):
     choices = contacts_of(write_states(tmp_path / f"a.{extension}", 3, contact_set=column))
     numbers, bad = SharedSets([ContactSet([[0, 0, i]], np.eye(3), 1) for i in range(3)], "abc").choose(choices)
     assert numbers.tolist() == [2, 0, 1] and not bad.rows.any()
 
 
-@pytest.mark.parametrize(("column", "why"), [
-    (np.array([0, 3, 1]), "contact_set = 3 (expected 0 to 2)"),
-    (np.array([0, -1, 1]), "contact_set = -1 (expected 0 to 2)"),
-    (np.array([0, 2**64 - 1, 1], np.uint64), "contact_set = 18446744073709551615 (expected 0 to 2)"),
-    (np.array(["b", "1", "a"]), "contact_set = '1' (expected 'a', 'b')"),
-])
+@pytest.mark.parametrize(
+    ("column", "why"),
+    [
+        (np.array([0, 3, 1]), "contact_set = 3 (expected 0 to 2)"),
+        (np.array([0, -1, 1]), "contact_set = -1 (expected 0 to 2)"),
+        (np.array([0, 2**64 - 1, 1], np.uint64), "contact_set = 18446744073709551615 (expected 0 to 2)"),
+        (np.array(["b", "1", "a"]), "contact_set = '1' (expected 'a', 'b')"),
+    ],
+)
 def test_a_choice_that_there_is_not(column, why):
     sets = SharedSets([ContactSet([[0, 0, i]], np.eye(3), 1) for i in range(3)], ["a", "b", None])
     numbers, bad = sets.choose(chosen(column))
@@ -194,6 +199,27 @@ def sole(y, angle=0.0):
 SETS = [sole(0.1), sole(0.1) + sole(-0.1), ContactSet(np.zeros((0, 3)), np.eye(3), 1.0), sole(0.1) + sole(-0.1, 0.4)]
 
 
+BROKEN = {
+    "points": [np.nan, np.inf, -np.inf],
+    "friction": [np.nan, np.inf, 0.0, -0.5],
+    "frames": [np.nan, np.inf, 0.0, -1.0, 1.1],
+}
+"""Values that a contact cannot have; of a frame, its first entry."""
+
+
+@pytest.mark.parametrize(("field", "value"), [(field, value) for field, values in BROKEN.items() for value in values])
+def test_a_row_is_bad_if_and_only_if_it_makes_no_contact_set(field, value):
+    """Contacts are checked in `ContactSet`, which raises, and in columns, where a bad row must not cost the others."""
+    good = {"points": np.zeros((2, 1, 3)), "frames": np.tile(np.eye(3), (2, 1, 1, 1)), "friction": np.full((2, 1), 0.5)}
+    bad = {name: values.copy() for name, values in good.items()}
+    bad[field][1].reshape(-1)[0] = value
+    rows = from_arrays({f"contact_{name}": values for name, values in bad.items()}, np.dtype(np.float64)).bad.rows
+    assert rows.tolist() == [False, True]
+    ContactSet(*(values[1] for values in good.values()))
+    with pytest.raises(ValueError, match=field):
+        ContactSet(*(values[1] for values in bad.values()))
+
+
 def assert_close(one, other, tolerance=1e-9):
     for name in ("capturable", "case", "status"):
         np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
@@ -220,13 +246,13 @@ def test_neighbours_score_the_same(x64):
 
 
 def test_a_later_batch_with_fewer_rows_and_contacts_needs_no_compiling(monkeypatch):
-    shapes, real = [], contact_rows.score
+    shapes, real = [], jaxcap.score
 
     def spy(cone, coms, *rest, **options):
         shapes.append((cone.rays.shape, coms.shape))
         return real(cone, coms, *rest, **options)
 
-    monkeypatch.setattr(contact_rows, "score", spy)
+    monkeypatch.setattr(jaxcap, "score", spy)
     scorer = OwnContacts()
     for n, k in ((N, 8), (7, 4)):
         few = {name: x[:n, :k] for name, x in ARRAYS.items()}
@@ -249,9 +275,9 @@ def test_both_forms_score_the_same(x64, monkeypatch, many):
 
 
 def test_faces_are_projected_once(x64, monkeypatch):
-    seen, real = [], contact_rows.centroidal_cone
+    seen, real = [], jaxcap.centroidal_cone
     monkeypatch.setattr(contact_rows, "MANY", 1)
-    monkeypatch.setattr(contact_rows, "centroidal_cone", lambda contacts, sides: seen.append(1) or real(contacts, sides))
+    monkeypatch.setattr(jaxcap, "centroidal_cone", lambda contacts, sides: seen.append(1) or real(contacts, sides))
     scorer = SharedSets(SETS)
     for _ in range(2):
         scorer.score(chosen(NUMBERS), COMS, VELOCITIES)
@@ -264,7 +290,7 @@ def test_a_set_without_faces_is_scored_by_rays(x64, monkeypatch):
 
     expected, _ = SharedSets(SETS).score(chosen(NUMBERS), COMS, VELOCITIES)
     monkeypatch.setattr(contact_rows, "MANY", 1)
-    monkeypatch.setattr(contact_rows, "centroidal_cone", fail)
+    monkeypatch.setattr(jaxcap, "centroidal_cone", fail)
     out, _ = SharedSets(SETS).score(chosen(NUMBERS), COMS, VELOCITIES)
     assert_close(out, expected)
 

@@ -41,9 +41,8 @@ def seen(self, common, rows):
     return run(self, common, rows)
 devices.Spread.__call__ = seen
 
-def mark(common, per_state, gravity, neighbours):
-    com, velocity, cone = per_state
-    found = com[:, 0] + velocity[:, 0] + cone.rays[:, 5, 3]
+def mark(shared, states, neighbours):
+    found = states.coms[:, 0] + states.com_velocities[:, 0] + states.cones.rays[:, 5, 3]
     return jaxcap.Capturability(*[found] * len(jaxcap.Capturability._fields))
 
 sole = lambda y: jaxcap.rectangle([0, y, 0], np.eye(3), 0.105, 0.065, 0.5)
@@ -79,7 +78,7 @@ for name, context in (("map", jax.default_device(None)), ("map_on_one", jax.defa
     with context:
         computed = maps.kernel_map(cone, axes)
     keep(name, {field: computed[field].values for field in computed})
-name, batch.answers = "own", mark
+name, batch.scored_block = "own", mark
 many = jaxcap.rectangle(np.zeros(3), np.eye(3), 0.1, 0.05, 0.5)
 many = jaxcap.ContactSet(many.points + rng.uniform(-1, 1, (n, 4, 3)), np.eye(3), 0.5)
 rays = jaxcap.cone_rays(many)

@@ -13,9 +13,9 @@ import pytest
 from reference.algorithm import is_state_capturable
 from reference.evaluation import __main__ as command
 from reference.evaluation import figure_style, findings, margins, output, paper, roc_figures, tables
-from reference.evaluation.samples import BEST, FILES, MissingFile, among, read, read_all
+from reference.evaluation.samples import BEST, FILES, FOUR, MissingFile, among, read, read_all
 from reference.tsid import campaign, table
-from reference.tsid.labels import Settings
+from reference.tsid.labels import BEST_OF_FOUR, Settings
 from reference.tsid.robot import Contact
 from reference.tsid.sampling import SCENARIOS
 from reference.tsid.wrench_cone import corner_points
@@ -41,7 +41,8 @@ def data(tmp_path_factory):
 
 def _twice(row):
     """The standard controller's run under two names, falls of even samples turned into stops under the other."""
-    kept = {key: value for key, value in row.items() if not key.startswith(("straight", "fast")) and key != "outcome"}
+    others = ("straight", "fast", "brake", "outcome", "best_of_four")
+    kept = {key: value for key, value in row.items() if not key.startswith(others)}
     other = {key.replace("standard", "no_torque"): value for key, value in kept.items() if key.startswith("standard")}
     if row["index"] % 2 == 0:
         other["no_torque_outcome"] = "stopped"
@@ -75,12 +76,41 @@ def test_samples_hold_the_rows(data):
     rows = table.read(data / "three.parquet")[2]
     samples = read(data / "three.parquet")
     assert samples.outcomes[BEST].tolist() == [row["outcome"] for row in rows] and samples.scenario == "three"
-    assert list(samples.outcomes) == [BEST, "standard"] and list(samples.runs) == list(campaign.BEST_OF_THREE)
-    for field, name in (("q", "q"), ("v", "v"), ("com", "com"), ("angular_momentum", "angular_momentum")):
-        np.testing.assert_array_equal(getattr(samples, field), [row[name] for row in rows])
+    assert samples.outcomes[FOUR].tolist() == [row["best_of_four"] for row in rows]
+    assert list(samples.outcomes) == [BEST, FOUR, "standard"] and list(samples.runs) == list(BEST_OF_FOUR)
+    for name in ("q", "v", "com", "com_velocity", "angular_momentum", "effort"):
+        np.testing.assert_array_equal(getattr(samples, name), [row[name] for row in rows])
     ran = ["fast_outcome" in row for row in rows]
     assert (samples.runs["fast"].outcomes != "").tolist() == ran
     assert np.isfinite(samples.runs["fast"].times).tolist() == ran
+    steps = [row["standard_steps"] for row in rows]
+    assert samples.runs["standard"].times == pytest.approx(1e-3 * np.array(steps))
+    for contacts, row in zip(zip(*samples.contacts, strict=True), rows, strict=True):
+        effectors, positions, rotations, lengths, _, friction = contacts
+        assert effectors.tolist() == [contact["effector"] for contact in row["contacts"]]
+        np.testing.assert_array_equal(positions, [contact["position"] for contact in row["contacts"]])
+        for rotation, contact in zip(rotations, row["contacts"], strict=True):
+            expected = pin.Quaternion(np.array(contact["quaternion"])).normalized().toRotationMatrix()
+            np.testing.assert_allclose(rotation, expected, atol=1e-12)
+        assert lengths[0] == 0.105 and set(friction) == {0.5}
+
+
+def test_rows_without_states_are_read(data, tmp_path):
+    settings, versions, rows = table.read(data / "two.parquet")
+    bare = [{key: value for key, value in row.items() if key not in "qv" or row["index"] < 2} for row in rows]
+    settings = Settings(**settings)._replace(controllers=tuple(settings["controllers"]), states=2)
+    table.write(tmp_path / "two.parquet", settings, versions, bare, 37, 36)
+    samples, whole = read(tmp_path / "two.parquet"), read(data / "two.parquet")
+    for found, expected in ((samples.q, whole.q), (samples.v, whole.v)):
+        assert np.isnan(found[2:]).all() and np.array_equal(found[:2], expected[:2])
+    np.testing.assert_array_equal(samples.com, whole.com)
+
+
+def test_the_files_are_small():
+    """What is committed holds at most 45 MB in all, also at 40,000 samples a scenario."""
+    paths = sorted(DATA.glob("*.parquet"))
+    assert {path.stem for path in paths} >= set(SCENARIOS)
+    assert sum(path.stat().st_size for path in paths) < 45e6
 
 
 def test_failed_rows_are_counted_and_left_out(data):
@@ -254,6 +284,30 @@ def test_the_whole_command(data, tmp_path, without_jaxcap, monkeypatch, capsys):
     assert {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()} == written
     (folder / "figure_9.png").write_bytes(b"mine")
     assert command.main(arguments) == 1 and "figure_9.png" in capsys.readouterr().err
+
+
+def test_a_figure_that_fails_is_named_and_the_others_are_made(data, tmp_path, without_jaxcap, monkeypatch, capsys):
+    def broken(*_):
+        raise ZeroDivisionError("no such luck")
+
+    others = {name: lambda *_: [] for name in command.FIGURES}
+    monkeypatch.setattr(command, "FIGURES", others | {"figure_5": broken, "figure_4": roc_figures.five_margins})
+    assert command.main(["--data", str(data), "-o", str(tmp_path / "out"), "--first", "20"]) == 1
+    text, told = (tmp_path / "out" / "evaluation.md").read_text(encoding="utf-8"), capsys.readouterr()
+    assert "figure_5 failed: ZeroDivisionError: no such luck" in text and (tmp_path / "out" / "figure_4.pdf").exists()
+    assert "incomplete, failed: figure_5" in told.err
+    assert told.out.startswith(f"reading {data / 'two_coplanar.parquet'} ...\n")
+
+
+@pytest.mark.parametrize(
+    "module, package, extra",
+    [("reference.evaluation", "sklearn", "evaluation"), ("reference.tsid.campaign", "tqdm", "sim")],
+)
+def test_a_missing_extra_is_named_in_one_line(module, package, extra):
+    block = f"import sys; sys.modules[{package!r}] = None; import runpy; runpy.run_module({module!r}, run_name='__main__')"
+    done = subprocess.run([sys.executable, "-c", block], capture_output=True, text=True)
+    assert done.returncode == 1 and done.stdout == ""
+    assert done.stderr == f'{package} is not installed; it comes with the extra {extra}: pip install -e ".[{extra}]"\n'
 
 
 def test_files_that_are_missing_are_skipped_aloud(data, tmp_path, without_jaxcap, monkeypatch, capsys):

@@ -3,16 +3,13 @@
 import numpy as np
 import pinocchio as pin
 import pytest
-from scipy.optimize import linprog
 from scipy.spatial.transform import Rotation
 
 from reference.algorithm import is_state_capturable
 from reference.evaluation import failures, path_figure, polygon_figure, replay, time_figure, tree_figure
-from reference.evaluation.samples import BEST, Contacts, Runs, Samples
-from reference.tsid.push import contact_jacobian
+from reference.evaluation.samples import BEST, FOUR, Contacts, Runs, Samples
 from reference.tsid.robot import load
 from reference.tsid.sampling import draw
-from reference.tsid.wrench_cone import wrench_cone
 
 TALOS = load("talos")
 
@@ -34,11 +31,15 @@ def samples_of(scenario, indices, outcomes):
         *(column(lambda contact, name=name: getattr(contact, name)) for name in ("half_length", "half_width", "friction")),
     )
     outcomes = np.array(outcomes)
-    runs = Runs(outcomes, outcomes, np.zeros(len(drawn)), com)
+    runs = Runs(outcomes, outcomes, np.zeros(len(drawn)))
     q, v = (np.array([getattr(sample, name) for sample in drawn]) for name in ("q", "v"))
     names = ("standard", "straight", "fast")
     states = (np.array(indices), q, v, com, com_velocity, angular)
-    return Samples(scenario, scenario, 2018, names, *states, contacts, {BEST: outcomes}, dict.fromkeys(names, runs), 0)
+    effort = np.ones(len(drawn))
+    best = {BEST: outcomes, FOUR: outcomes}
+    return Samples(
+        scenario, scenario, "talos", 2018, False, 0.2, names, *states, contacts, effort, best, dict.fromkeys(names, runs), 0
+    )
 
 
 @pytest.fixture(scope="module")
@@ -195,8 +196,10 @@ def test_a_replay_starts_in_the_sample_and_is_laid_onto_its_prediction():
     assert np.abs(path[1, 1:]).max() < 0.05 * path[1, 0]  # it sets out along its velocity
 
 
-def test_a_sample_is_restored_from_its_row(three):
-    sample, again = draw(TALOS, "three", 2018, 19), replay.sample_of(three, 1, TALOS.model)
+@pytest.mark.parametrize("held", [True, False])
+def test_a_sample_is_restored_from_its_row(three, held):
+    file = three if held else three._replace(q=np.full_like(three.q, np.nan), v=np.full_like(three.v, np.nan))
+    sample, again = draw(TALOS, "three", 2018, 19), replay.sample_of(file, 1, TALOS)
     assert np.array_equal(sample.q, again.q) and np.array_equal(sample.v, again.v)
     for one, other in zip(sample.contacts, again.contacts, strict=True):
         assert one.placement == other.placement
@@ -240,40 +243,6 @@ def test_braking_stops_a_joint_at_its_limit():
     assert needed == 4.0 and 0.0 - 2.0**2 / (2 * needed) == -0.5  # the second joint is the nearest
     assert failures.braking(position, 0 * velocity, lower, upper) == 0.0
     assert failures.braking(upper[None], velocity, lower, upper) == np.inf  # at its limit, and moving on
-
-
-def test_aside_is_the_distance_from_the_line():
-    velocity = np.array([[2.0, 0, 0], [0, 0, 0]])
-    assert failures.aside(np.array([[5.0, 3, 4], [0, 3, 4]]), velocity) == pytest.approx([5.0, 5.0])
-
-
-@pytest.mark.parametrize("scenario", ["two_coplanar", "three", "four"])
-def test_the_torque_for_standing_is_that_of_an_independent_program(scenario):
-    """In wrenches and the rows of their cones, where `standing_torque` has weights on the edges."""
-    sample = draw(TALOS, scenario, 2018, 1)
-    data = TALOS.model.createData()
-    pin.framesForwardKinematics(TALOS.model, data, sample.q)
-    jacobian = contact_jacobian(TALOS, data, sample.q, [contact.effector for contact in sample.contacts])
-    gravity = pin.rnea(TALOS.model, data, sample.q, np.zeros(TALOS.model.nv), np.zeros(TALOS.model.nv))
-    k, n = len(sample.contacts), TALOS.model.nv - 6
-    cones = np.zeros((16 * k, 6 * k + 1))
-    for i, contact in enumerate(sample.contacts):
-        rows = wrench_cone(contact.half_length, contact.half_width, contact.friction)
-        cones[16 * i : 16 * i + 16, 6 * i : 6 * i + 6] = rows
-    pushes, limit = jacobian.T, TALOS.torque[:, None]
-    torques = np.block([[-pushes[6:], -limit], [pushes[6:], -limit]])
-    bounds = np.concatenate([-gravity[6:], gravity[6:], np.zeros(16 * k)])
-    base = np.column_stack([pushes[:6], np.zeros(6)])
-    cost = np.append(np.zeros(6 * k), 1.0)
-    rows = np.concatenate([torques, cones])
-    result = linprog(cost, A_ub=rows, b_ub=bounds, A_eq=base, b_eq=gravity[:6], bounds=(None, None), method="highs")
-    assert len(limit) == n and failures.standing_torque(TALOS, sample) == pytest.approx(result.fun, rel=1e-6)
-
-
-def test_twice_the_limits_take_half_the_share():
-    sample = draw(TALOS, "two", 2018, 1)
-    strong = TALOS._replace(torque=2 * TALOS.torque)
-    assert failures.standing_torque(TALOS, sample) == pytest.approx(2 * failures.standing_torque(strong, sample))
 
 
 def found_of(random, sizes):

@@ -183,8 +183,11 @@ def test_the_four_cells_hold_every_decided_sample_once():
 
 
 def test_undecided_outcomes_count_either_way():
-    stars = {kind: point(MARGIN[used], fell) for kind in ("excluded", "fallen", "stopped")
-             for used, fell in [judged(OUTCOMES, kind)]}
+    stars = {
+        kind: point(MARGIN[used], fell)
+        for kind in ("excluded", "fallen", "stopped")
+        for used, fell in [judged(OUTCOMES, kind)]
+    }
     assert stars == {"excluded": (2, 1, 1, 2), "fallen": (2, 3, 1, 2), "stopped": (2, 1, 1, 4)}
 
 

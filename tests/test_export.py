@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 import jaxcap
-from jaxcap import Case, Status, exported
+from jaxcap import Case, Status
+from jaxcap.batch import exported
 from jaxcap.errors import MissingExtra
 
 pytest.importorskip("flatbuffers")
@@ -120,7 +121,7 @@ def test_opposing_palms_stop_everything(loaded):
 def test_one_contact_point_stops_nothing_that_moves_beside_it(loaded):
     point = field(loaded, "point")
     assert not point["capturable"][[0, *range(2, FEW)]].any()
-    assert point["capturable"][1]   # at rest above the point
+    assert point["capturable"][1]  # at rest above the point
 
 
 def test_no_contact_is_flight(loaded):

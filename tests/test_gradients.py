@@ -48,7 +48,7 @@ def test_gradients_of_figures_that_are_numbers_are_finite(derivatives):
     for k, name in enumerate(FIGURES):
         known = ~np.isnan(getattr(answer, name))
         assert np.isfinite(reverse[known, k]).all(), name
-    assert np.isinf(answer.max_speed).any()   # among them are limits that are infinite
+    assert np.isinf(answer.max_speed).any()  # among them are limits that are infinite
 
 
 @pytest.mark.parametrize("name", FIGURES)
@@ -58,7 +58,7 @@ def test_gradient_equals_finite_differences(derivatives, name):
     k = FIGURES.index(name)
     smooth = np.abs(difference[:, k] - check[:, k]) < 1e-5 * (1 + np.abs(difference[:, k]))
     if name in ("distance", "time", "residual_speed", "paper_margin"):
-        smooth &= (answer.case != Case.C3_3)[:, None]   # documented: swings are not differentiated
+        smooth &= (answer.case != Case.C3_3)[:, None]  # documented: swings are not differentiated
     assert smooth.sum() > (150 if name in ("distance", "time") else 1500)
     np.testing.assert_allclose(reverse[:, k][smooth], difference[:, k][smooth], rtol=1e-4, atol=1e-4)
 

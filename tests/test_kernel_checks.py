@@ -104,7 +104,7 @@ def kernel(line: Edges, generous: bool) -> ConvexHull:
     for _ in range(5000):
         edge = on_edge(hull.points[hull.vertices])
         larger = ConvexHull(np.concatenate([edge, back(line, edge * CELL) / CELL]))
-        if larger.volume - hull.volume < SETTLED * hull.area:   # in the plane, `volume` is the area and `area` the perimeter
+        if larger.volume - hull.volume < SETTLED * hull.area:  # in the plane, `volume` is the area and `area` the perimeter
             return larger
         hull = larger
     raise AssertionError(f"the kernel still grows by {larger.volume - hull.volume} cells a step")
@@ -133,8 +133,10 @@ def cautious_step(line: Edges, states):
         start = alpha - speed * STEP + (2 * last + first) * STEP**2 / 6
         holds = np.ones(len(alpha), bool)
         for at, acc in (
-            (start, first), (start + before * STEP / 3, (2 * first + last) / 3),
-            (alpha - speed * STEP / 3, (first + 2 * last) / 3), (alpha, last),
+            (start, first),
+            (start + before * STEP / 3, (2 * first + last) / 3),
+            (alpha - speed * STEP / 3, (first + 2 * last) / 3),
+            (alpha, last),
         ):
             low, high = line.chords(at)
             holds &= (low <= acc) & (acc <= high) & (line.alpha[0] <= at) & (at <= line.alpha[-1])
@@ -151,9 +153,12 @@ def generous_step(line: Edges, states):
     strongest = max(abs(line.low).max(), abs(line.high).max())
     mean, room = alpha - speed * STEP / 2, strongest * STEP**2 / 6
     low, high = line.tangents(mean - room, mean + room)
-    off = np.abs(high - low) * STEP**2 / 8   # the acceleration may change within the step
-    found = [(alpha - speed * STEP + acc * STEP**2 / 2 + sign * off, speed - acc * STEP)
-             for acc in (low, high) for sign in (-1, 1)]
+    off = np.abs(high - low) * STEP**2 / 8  # the acceleration may change within the step
+    found = [
+        (alpha - speed * STEP + acc * STEP**2 / 2 + sign * off, speed - acc * STEP)
+        for acc in (low, high)
+        for sign in (-1, 1)
+    ]
     found = np.concatenate(np.moveaxis(found, 1, 2))
     return found[(line.alpha[0] - GRID <= found[:, 0]) & (found[:, 0] <= line.alpha[-1] + GRID)]
 

@@ -12,6 +12,7 @@ import jaxcap
 pytestmark = pytest.mark.usefixtures("x64")
 SPEEDS = ("margin", "min_speed", "max_speed", "residual_speed")
 SETS, STATES = 60, 5
+amounts = pytest.mark.parametrize("sets", [100, pytest.param(400, marks=pytest.mark.slow)])
 
 
 @pytest.fixture(params=FORMS, autouse=True)
@@ -74,8 +75,8 @@ def test_scale_of_length_and_time():
     answer = each()(cones, coms, velocities)
     larger = restacked(contacts, lambda points, frames, friction: (4 * points, frames, friction))
     assert_same(answer, each()(larger, 4 * coms, 2 * velocities), scale=2.0, time=2.0, length=4.0)
-    heavier = jax.jit(jax.vmap(lambda *state: jaxcap.capturability(*state, gravity=(0.0, 0.0, -4 * 9.81))))
-    assert_same(answer, heavier(cones, coms, 2 * velocities), scale=2.0, time=0.5)
+    heavier = each()(cones, coms, 2 * velocities, gravity=(0.0, 0.0, -4 * 9.81))
+    assert_same(answer, heavier, scale=2.0, time=0.5)
 
 
 def test_mask_equals_absence():
@@ -83,11 +84,16 @@ def test_mask_equals_absence():
     contacts, cones, coms, velocities = random_states(SETS, STATES, 11, form)
     other = contact_set(*random_contacts(np.random.default_rng(5), 1))
     hidden = jaxcap.ContactSet(other.points, other.frames, other.friction, mask=np.zeros(4, bool))
-    built = {id(arrays): FORMS[form](jaxcap.ContactSet(*(x[:4] for x in arrays)) + hidden
-                                     + jaxcap.ContactSet(*(x[4:] for x in arrays))) for arrays in contacts}
+    built = {
+        id(arrays): FORMS[form](
+            jaxcap.ContactSet(*(x[:4] for x in arrays)) + hidden + jaxcap.ContactSet(*(x[4:] for x in arrays))
+        )
+        for arrays in contacts
+    }
     assert_same(each()(cones, coms, velocities), each()(stack([built[id(arrays)] for arrays in contacts]), coms, velocities))
 
 
+@pytest.mark.slow
 def test_padding_of_faces_is_neutral():
     _, cones, coms, velocities = random_states(SETS, STATES, 11)
     more = jaxcap.CentroidalCone(np.pad(cones.faces, ((0, 0), (0, 7), (0, 0))), cones.origin, cones.length)
@@ -114,6 +120,7 @@ def assert_never_worse(less, more):
     assert (more.capturable & ~less.capturable).any()
 
 
+@pytest.mark.slow
 def test_jit_vmap_loop_and_score_agree():
     _, cones, coms, velocities = random_states(SETS, STATES, 11, form)
     mapped = each()(cones, coms, velocities)
@@ -130,8 +137,9 @@ def test_jit_vmap_loop_and_score_agree():
         assert_same(pick(mapped, 0), jaxcap.capturability(pick(cones, 0), jnp.asarray(coms[0]), jnp.asarray(velocities[0])))
 
 
-def test_single_precision_agrees_outside_the_band():
-    _, cones, coms, velocities = random_states(400, 3, 12, form)
+@amounts
+def test_single_precision_agrees_outside_the_band(sets):
+    _, cones, coms, velocities = random_states(sets, 3, 12, form)
     double = each()(cones, coms, velocities)
     single = each()(cones, coms.astype(np.float32), velocities.astype(np.float32))
     assert single.margin.dtype == np.float32
@@ -140,8 +148,9 @@ def test_single_precision_agrees_outside_the_band():
     np.testing.assert_array_equal(double.capturable[outside], single.capturable[outside])
 
 
-def test_margin_is_positive_if_and_only_if_capturable():
-    _, cones, coms, velocities = random_states(400, 3, 12, form)
+@amounts
+def test_margin_is_positive_if_and_only_if_capturable(sets):
+    _, cones, coms, velocities = random_states(sets, 3, 12, form)
     answer = each()(cones, coms, velocities)
     np.testing.assert_array_equal(answer.capturable, answer.margin >= 0)
     assert (answer.residual_speed[answer.capturable] == 0).all()
@@ -149,9 +158,10 @@ def test_margin_is_positive_if_and_only_if_capturable():
     assert np.isnan(answer.time[~answer.capturable]).all()
 
 
-def test_margin_is_the_speed_to_the_flip():
+@amounts
+def test_margin_is_the_speed_to_the_flip(sets):
     """Add or shed the margin, and a little more: the verdict flips; a little less: it stands."""
-    _, cones, coms, velocities = random_states(400, 3, 12, form)
+    _, cones, coms, velocities = random_states(sets, 3, 12, form)
     answer = each()(cones, coms, velocities)
     speeds = np.linalg.norm(velocities, axis=1)
     for limit, slower in ((answer.max_speed, True), (answer.min_speed, False)):

@@ -18,8 +18,8 @@ from scipy.optimize import linprog
 import jaxcap
 from jaxcap import Case, Status, plotting
 from jaxcap.contacts.friction import pyramid_edges, wrench_rays
-from jaxcap.plotting.footprint import patches
 from jaxcap.plotting.kernels import CODES
+from jaxcap.plotting.patches import patches
 from jaxcap.plotting.region import clipped
 from jaxcap.plotting.travel import travel
 from jaxcap.regions.velocity_area import VelocityArea, headings, velocity_area
@@ -49,7 +49,7 @@ CONTACTS = {
     "masked contacts": FEET.padded(10),
     "far from the origin": jaxcap.ContactSet(FEET.points + np.array([100, 100, 0]), FEET.frames, FEET.friction),
 }
-STATES = {   # on FEET, along x: CoM position and speed
+STATES = {  # on FEET, along x: CoM position and speed
     "stops": (0.0, 0.2, Case.C3_1),
     "diverges": (0.0, 0.5, Case.C1),
     "has to be slow enough": (-0.15, 0.5, Case.C3_2_1),
@@ -104,7 +104,7 @@ def test_the_walk_is_the_motion_that_capturability_means(cone, name):
     np.testing.assert_allclose([walk.alpha[0], walk.speed[0]], [0, speed], atol=1e-9)
     gains = np.diff(walk.speed**2) / 2
     means = (walk.acceleration[1:] + walk.acceleration[:-1]) / 2 * np.diff(walk.alpha)
-    switch = np.argmax(np.abs(gains - means))   # where least deceleration turns into the largest
+    switch = np.argmax(np.abs(gains - means))  # where least deceleration turns into the largest
     np.testing.assert_allclose(np.delete(gains, switch), np.delete(means, switch), atol=1e-9)
     assert (abs(gains[switch] - means[switch]) < 1e-9) or case == Case.C3_2_1
     if out.capturable:
@@ -151,11 +151,22 @@ def test_the_band_of_flat_ground_is_that_of_the_capture_point(cone):
         np.testing.assert_allclose(speed, sign * np.maximum(0, sign * (side - alpha) * OMEGA), atol=1e-6)
 
 
+@pytest.mark.parametrize("size", [(6.4, 4.8), (5, 5), (10, 4)])
+def test_the_names_of_the_axes_of_a_stance_are_in_the_figure(size):
+    """In axes of a figure without any layout."""
+    ax = Figure(figsize=size).add_subplot(projection="3d")
+    plotting.stance(FEET, [0, 0, HEIGHT], [0.3, 0, 0], ax=ax)
+    drawn(ax)
+    for axis in (ax.xaxis, ax.yaxis, ax.zaxis):
+        box, figure = axis.label.get_window_extent(), ax.figure.bbox
+        assert figure.x0 <= box.x0 and box.x1 <= figure.x1 and figure.y0 <= box.y0 and box.y1 <= figure.y1
+
+
 def test_both_pictures_name_axes_verdict_and_static_region(cone):
     for draw, unit in ((plotting.polygon, "[m/s$^2$]"), (plotting.phase_portrait, "[m/s]")):
         ax = draw(cone, [0.02, 0, HEIGHT], [0.2, 0, 0])
         margin = 0.08 * OMEGA - 0.2
-        assert ax.get_title() == f"capturable: C3_1, margin {margin:+.2f} m/s"
+        assert ax.get_title() == f"capturable: stops where it can stand, margin {margin:+.2f} m/s"
         assert "[m]" in ax.get_xlabel() and unit in ax.get_ylabel()
         np.testing.assert_allclose(line(ax, "static region"), [[-0.12, 0], [0.08, 0]], atol=1e-9)
 
@@ -220,7 +231,7 @@ def test_a_stance_shows_contacts_pyramids_support_polygon_and_com():
     np.testing.assert_allclose(aligned, 1)
     (support,) = corners("support polygon")
     assert (support[:, 2] == 0).all()
-    for vertex in support[:, :2]:   # its edge is where standing ends
+    for vertex in support[:, :2]:  # its edge is where standing ends
         inwards = 1e-6 * (support[:, :2].mean(axis=0) - vertex)
         assert [stands(contacts, 5, at) for at in (vertex + inwards, vertex - inwards)] == [True, False]
     arrow = next(found for found in ax.collections if found.get_label().startswith("velocity"))
@@ -386,9 +397,9 @@ def test_infinite_figures_and_those_that_are_none_are_told_apart():
     assert "no stop" in legend(ax)
     status = np.where(Y > 0.5, Status.MAX_STEPS, Status.NO_DIRECTION).astype(np.int8)
     assert legend(plotting.kernel_slice(field(values, status=status), "margin")) == ["at any speed", "undecided", "at rest"]
-    speeds = field(np.where(X < -0.9, np.nan, X), dims=("speed", "com_x"))   # speed 0 is the first row
+    speeds = field(np.where(X < -0.9, np.nan, X), dims=("speed", "com_x"))  # speed 0 is the first row
     assert legend(plotting.kernel_slice(speeds, "margin", x="com_x", y="speed"))[0] == "at rest"
-    both = field(values, "max_speed").assign(speeds.rename(com_x="other"))   # a field beside one that has speeds
+    both = field(values, "max_speed").assign(speeds.rename(com_x="other"))  # a field beside one that has speeds
     assert legend(plotting.kernel_slice(both, "max_speed")) == ["at any speed", "no value"]
 
 
@@ -420,7 +431,7 @@ def test_codes_are_told_apart_in_grey(quantity):
 def test_codes_are_areas_of_colour_with_names():
     codes = np.where(X > 0, Case.C3_1, np.where(Y > 0.5, Case.C1, Case.EMPTY)).astype(np.int8)
     ax = sliced(codes, "case")
-    assert legend(ax) == ["C1: diverges", "C3_1: stops", "EMPTY: no S"]
+    assert legend(ax) == ["C1: diverges", "C3_1: stops where it can stand", "EMPTY: no contact or nowhere to stand"]
     mesh = ax.collections[0]
     np.testing.assert_array_equal(np.asarray(mesh.get_array()).reshape(11, 21), codes.T)
     shown = {to_hex(colour) for colour in mesh.cmap(mesh.norm(np.unique(codes)))}
@@ -428,14 +439,17 @@ def test_codes_are_areas_of_colour_with_names():
     assert legend(sliced(X > 0, "capturable")) == ["falls, or has to step", "capturable"]
 
 
-@pytest.mark.parametrize(("arguments", "message"), [
-    ({"quantity": "max_speed"}, r"'max_speed' is not in the map \(it holds margin\)"),
-    ({"y": "heading"}, r"'heading' is not an axis of margin \(expected one of com_x, com_y, speed\)"),
-    ({"x": "com_y"}, "com_y is asked for twice"),
-    ({}, r"no value for the axis speed \(expected one from 0 to 2\)"),
-    ({"speed": 3.0}, r"speed = 3 is not on the grid \(expected from 0 to 2\)"),
-    ({"speed": 1.0, "com_x": 0.0}, "com_x is an axis of the picture"),
-])
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"quantity": "max_speed"}, r"'max_speed' is not in the map \(it holds margin\)"),
+        ({"y": "heading"}, r"'heading' is not an axis of margin \(expected one of com_x, com_y, speed\)"),
+        ({"x": "com_y"}, "com_y is asked for twice"),
+        ({}, r"no value for the axis speed \(expected one from 0 to 2\)"),
+        ({"speed": 3.0}, r"speed = 3 is not on the grid \(expected from 0 to 2\)"),
+        ({"speed": 1.0, "com_x": 0.0}, "com_x is an axis of the picture"),
+    ],
+)
 def test_what_a_map_does_not_hold_is_refused(arguments, message):
     dataset = field(X[..., None] * np.arange(4), dims=("com_x", "com_y", "speed"))
     with pytest.raises(ValueError, match=message):
@@ -493,8 +507,11 @@ def test_every_contact_set_is_drawn(name):
     ]
     for ax in pictures:
         assert len(drawn(ax)) > 1000
-    (shown,) = (found for found in pictures[2].collections
-                if isinstance(found, Poly3DCollection) and found.get_label() == "friction pyramids")
+    (shown,) = (
+        found
+        for found in pictures[2].collections
+        if isinstance(found, Poly3DCollection) and found.get_label() == "friction pyramids"
+    )
     assert len(shown._faces) == 4 * len(active)
 
 
@@ -522,7 +539,7 @@ def test_axes_that_are_given_are_drawn_into_and_returned(cone):
 
 
 def test_nothing_global_changes(cone):
-    matplotlib.get_backend()   # which settles what the setting says
+    matplotlib.get_backend()  # which settles what the setting says
     before = matplotlib.rcParams.copy()
     plotting.polygon(cone, [0, 0, HEIGHT], [0.2, 0, 0])
     plotting.phase_portrait(cone, [0, 0, HEIGHT], [0.2, 0, 0])

@@ -54,7 +54,7 @@ def assert_consistent(faces, rays):
     np.testing.assert_array_equal(faces.case[away], rays.case[away])
     for name in FIGURES[:3]:
         np.testing.assert_allclose(getattr(rays, name), getattr(faces, name), rtol=1e-6, atol=1e-6, err_msg=name)
-    clear = away & ~(np.abs(faces.margin) < 1e-4)   # a stop at the very limit moves with the root of a change
+    clear = away & ~(np.abs(faces.margin) < 1e-4)  # a stop at the very limit moves with the root of a change
     for name in FIGURES[3:]:
         np.testing.assert_allclose(
             getattr(rays, name)[clear], getattr(faces, name)[clear], rtol=1e-5, atol=1e-6, err_msg=name

@@ -115,7 +115,8 @@ def test_batches_do_not_follow_row_groups(tmp_path):
     coms, velocities = states(1000)
     label = pa.array(["a", "b"] * 500).dictionary_encode()  # Arrow ends a batch of such a column at each row group
     pq.write_table(
-        pa.table({"com": vectors(coms), "com_velocity": vectors(velocities), "label": label}), tmp_path / "a.parquet",
+        pa.table({"com": vectors(coms), "com_velocity": vectors(velocities), "label": label}),
+        tmp_path / "a.parquet",
         row_group_size=70,
     )
     with read_states(tmp_path / "a.parquet", 256, np.float64) as file:
@@ -172,14 +173,16 @@ def test_other_columns_are_carried_through(tmp_path, source, target):
 
 
 def test_parquet_columns_of_any_type_stay_what_they_are(tmp_path):
-    others = pa.table({
-        "maybe": pa.array([1, None, 3]),
-        "tags": pa.array([["a"], [], None]),
-        "pose": pa.array([{"x": 1.0}, {"x": 2.0}, None]),
-        "label": pa.array(["u", None, "u"]).dictionary_encode(),
-        "raw": pa.array([b"\0", b"", None]),
-        "when": pa.array([0, 1, 2], pa.timestamp("us", "Europe/Paris")),
-    })
+    others = pa.table(
+        {
+            "maybe": pa.array([1, None, 3]),
+            "tags": pa.array([["a"], [], None]),
+            "pose": pa.array([{"x": 1.0}, {"x": 2.0}, None]),
+            "label": pa.array(["u", None, "u"]).dictionary_encode(),
+            "raw": pa.array([b"\0", b"", None]),
+            "when": pa.array([0, 1, 2], pa.timestamp("us", "Europe/Paris")),
+        }
+    )
     path = write_states(tmp_path / "a.parquet", 3, **{name: others[name] for name in others.column_names})
     written = pq.read_table(convert(path, tmp_path / "out.parquet", batch_size=2))
     assert written.select(others.column_names).to_pylist() == others.to_pylist()
@@ -188,7 +191,8 @@ def test_parquet_columns_of_any_type_stay_what_they_are(tmp_path):
 
 def test_null_floats_and_times_become_nan_and_nat_in_npz(tmp_path):
     columns = {
-        "speed": pa.array([1.0, None]), "day": pa.array([0, None], pa.date32()),
+        "speed": pa.array([1.0, None]),
+        "day": pa.array([0, None], pa.date32()),
         "pair": pa.array([None, [1.0, 2.0]], pa.list_(pa.float64(), 2)),
     }
     out = read_columns(convert(write_states(tmp_path / "a.parquet", 2, **columns), tmp_path / "out.npz"))
@@ -265,9 +269,11 @@ def test_small_batches_make_no_small_row_groups(tmp_path):
 @pytest.mark.parametrize("target", ["parquet", "npz"])
 def test_an_error_leaves_nothing(tmp_path, target):
     path = write_states(tmp_path / "a.npz", 10)
-    with pytest.raises(ZeroDivisionError), read_states(path, 4) as file, write_scores(
-        tmp_path / f"out.{target}", file.types, METADATA
-    ) as out:
+    with (
+        pytest.raises(ZeroDivisionError),
+        read_states(path, 4) as file,
+        write_scores(tmp_path / f"out.{target}", file.types, METADATA) as out,
+    ):
         for batch in file:
             out.write(batch.columns, fake_score(None, batch.coms, batch.com_velocities))
             raise ZeroDivisionError

@@ -60,7 +60,7 @@ def test_case_of_the_paper(compared):
 
 def test_distance_time_and_margin_of_the_paper(compared):
     answer, paper = compared
-    away = np.abs(answer.margin) > 1e-4   # a stop at the very limit is reached only in the limit of time
+    away = np.abs(answer.margin) > 1e-4  # a stop at the very limit is reached only in the limit of time
     inside = (answer.case == Case.C3_1) & away
     field = lambda name: np.array([getattr(result, name) for result in paper])
     np.testing.assert_allclose(answer.distance[inside], field("alpha_final")[inside], rtol=1e-6, atol=1e-9)
@@ -107,7 +107,7 @@ def test_speeds_of_the_discretised_problem(compared):
     for i in one_of_each(answer, 5):
         along = velocities[i] / np.linalg.norm(velocities[i])
         found = oracles.speed_interval(*contacts[i], coms[i], along)
-        if found is None:   # no motion to rest at all, at least none that ends within the horizon
+        if found is None:  # no motion to rest at all, at least none that ends within the horizon
             assert not answer.capturable[i] or answer.margin[i] < 1e-2
             continue
         assert found.low >= answer.min_speed[i] - 1e-6

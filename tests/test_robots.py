@@ -222,11 +222,25 @@ def test_robots_are_what_their_docstrings_say(talos):
     anymal = robots.anymal()
     assert (anymal.model.nq, anymal.model.nv, anymal.collisions) == (19, 18, None)
     assert pin.computeTotalMass(anymal.model) == pytest.approx(30.5, abs=0.05)
-    assert all(anymal.model.existFrame(foot) for foot in robots.ANYMAL_FEET.values())
+    assert all(anymal.model.existFrame(foot.frame) for foot in robots.ANYMAL_FEET.values())
     for sole in ("left_sole", "right_sole"):
         patch, q = robots.TALOS_CONTACTS[sole], talos.postures["half_sitting"]
         position, rotation = robots.contact_placement(talos.model, q, patch)
         assert abs(position[2]) < 1e-5 and rotation[2, 2] > 0.9999
+
+
+@pytest.mark.parametrize("name", robots.ANYMAL_FEET)
+def test_points_are_placed_as_patches_are(name):
+    """R3: the origin of the foot's frame, which stands on the ground as its SRDF's posture does."""
+    anymal = robots.anymal()
+    model, q, foot = anymal.model, anymal.postures["standing"], robots.ANYMAL_FEET[name]
+    position, rotation = robots.contact_placement(model, q, foot)
+    data = model.createData()
+    pin.framesForwardKinematics(model, data, q)
+    placed = data.oMf[model.getFrameId(foot.frame)]
+    np.testing.assert_allclose(position, placed.translation, atol=1e-12)
+    np.testing.assert_allclose(rotation, placed.rotation, atol=1e-12)
+    assert foot.is_point and not robots.TALOS_CONTACTS["left_sole"].is_point
 
 
 def test_quaternion_in_single_precision_is_normalised(talos):

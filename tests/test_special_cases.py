@@ -26,7 +26,7 @@ def points(*positions, frames=UP, friction=0.5):
     return jaxcap.ContactSet(np.array(positions, float), frames, friction)
 
 
-FORMS = {   # of one size: compiled once
+FORMS = {  # of one size: compiled once
     "faces": lambda contacts, sides=4: jaxcap.centroidal_cone(contacts, sides).padded(160),
     "rays": lambda contacts, sides=4: jaxcap.cone_rays(contacts.padded(16), sides),
 }
@@ -44,9 +44,8 @@ def answer(contacts, com, velocity, dtype=np.float64):
 
 
 FEET = foot(0, 0.1) + foot(0, -0.1)
-PALMS = (
-    jaxcap.rectangle([0, 0.2, 1], rotation(np.pi / 2, 0, 0), 0.1, 0.05, 0.5)
-    + jaxcap.rectangle([0, -0.2, 1], rotation(-np.pi / 2, 0, 0), 0.1, 0.05, 0.5)
+PALMS = jaxcap.rectangle([0, 0.2, 1], rotation(np.pi / 2, 0, 0), 0.1, 0.05, 0.5) + jaxcap.rectangle(
+    [0, -0.2, 1], rotation(-np.pi / 2, 0, 0), 0.1, 0.05, 0.5
 )
 precisions = pytest.mark.parametrize(("dtype", "rtol"), [(np.float64, 1e-9), (np.float32, 2e-4)])
 
@@ -61,7 +60,7 @@ def test_flat_ground_is_the_capture_point_in_the_hull_of_the_contacts():
     cone = cone_of(contacts)
     capture_points = grid[:, :2] + grid[:, 2:] / np.sqrt(G / height)
     sides = ConvexHull(contacts.points[:, :2]).equations
-    outside = (capture_points @ sides[:, :2].T + sides[:, 2]).max(axis=1)   # distance [m], negative inside
+    outside = (capture_points @ sides[:, :2].T + sides[:, 2]).max(axis=1)  # distance [m], negative inside
     expected = outside <= 0
     assert 0.05 < expected.mean() < 0.95
     for dtype, band in ((np.float64, 1e-9), (np.float32, 1e-3)):
@@ -99,7 +98,7 @@ def test_the_fastest_way_to_a_rest_at_the_edge(dtype, rtol):
     omega, speed, gap = np.sqrt(G / 0.8), 0.4, 0.05
     contacts = foot(0, 0, 5.0)
     found = answer(contacts, [-0.1 - gap, 0, 0.8], [speed, 0, 0], dtype)
-    near, far = gap, gap + 0.2   # the centres of pressure, alpha
+    near, far = gap, gap + 0.2  # the centres of pressure, alpha
     slow = lambda a, centre: omega**2 * ((a - centre) ** 2)
     # energy under least deceleration from the start, and under most deceleration to rest at the edge
     early = lambda a: speed**2 + slow(a, near) - slow(0, near)
@@ -232,7 +231,7 @@ def test_swings_below_a_support_in_closed_form(dtype, rtol):
     found = answer(contacts, [0, 0, 2.0 - depth], [speed, 0, 0], dtype)
     amplitude = np.hypot(w, speed / omega)
     stop = amplitude - w
-    assert w < stop < 3 * w   # beyond where it can stand, and so near that one swing back is enough
+    assert w < stop < 3 * w  # beyond where it can stand, and so near that one swing back is enough
     assert found.case == Case.C3_3
     assert found.capturable
     assert found.distance == pytest.approx(stop + 2 * (stop - w), rel=rtol)
@@ -261,7 +260,7 @@ def test_many_swings(dtype):
     w, omega = 0.02, np.sqrt(G / 0.8)
     rest, path = np.hypot(w, 1 / omega) - w, 0.0
     path += rest
-    while abs(rest) > w:   # each swing turns about the edge on the side it comes from
+    while abs(rest) > w:  # each swing turns about the edge on the side it comes from
         pivot = np.copysign(w, rest)
         path += 2 * abs(rest - pivot)
         rest = 2 * pivot - rest

@@ -6,7 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from state_files import fake_score, states
 
-from jaxcap.commands.summary import CASES, STATUSES, Quantiles, Summary, rounding
+from jaxcap.commands.summary import Quantiles, Summary, rounding
+from jaxcap.files.fields import CASES, STATUSES
 from jaxcap.one_state.result import Case, Status
 
 FLOATS = st.floats(width=32, allow_nan=False)
@@ -26,15 +27,15 @@ def test_quantiles_do_not_depend_on_batches(first, second):
     one.add(np.array(first + second))
     two.add(np.array(second))
     two.add(np.array(first))
-    assert one.count() == two.count() == len(first) + len(second)
-    assert one(0.5) == two(0.5) or not one.count()
+    assert len(one) == len(two) == len(first) + len(second)
+    assert one(0.5) == two(0.5) or not len(one)
 
 
 def test_zero_and_infinity_are_exact_and_nan_is_left_out():
     quantiles = Quantiles()
-    quantiles.add(np.array([-np.inf, -0.0, 0.0, 1e300, np.nan]))
+    quantiles.add(np.array([-np.inf, -0.0, 0.0, np.inf, np.nan]))
     assert [quantiles(share) for share in (0.25, 0.5, 0.75, 1)] == [-np.inf, 0, 0, np.inf]
-    assert quantiles.count() == 4
+    assert len(quantiles) == 4
 
 
 def test_no_numbers_have_no_quantile():
@@ -52,7 +53,7 @@ def test_every_case_and_status_is_counted():
     assert summary.states == sum(summary.cases.values()) == sum(summary.statuses.values()) == 200
     assert summary.statuses[Status.NONFINITE] == summary.statuses[Status.NO_DIRECTION] == 2
     assert summary.capturable == 2 * out.capturable.sum()
-    assert summary.margin.count() == 196
+    assert len(summary.margin) == 196
 
 
 def test_a_table_of_nothing():
@@ -64,4 +65,4 @@ def test_positions_that_single_precision_rounds_are_told():
     assert rounding(at(0.1)) == rounding(at(900)) == rounding(at(np.inf)) == rounding(np.zeros((0, 3), np.float32)) == ""
     assert rounding(at(5e5)) == "positions 5e+05 m from the origin are rounded to 0.031 m (--dtype float64 keeps them)"
     assert rounding(at(5e5).astype(np.float64)) == ""
-    assert rounding(np.concatenate([at(0.1), np.full((1, 3), 1e30, np.float32)])) == ""   # one row is no matter
+    assert rounding(np.concatenate([at(0.1), np.full((1, 3), 1e30, np.float32)])) == ""  # one row is no matter

@@ -14,7 +14,8 @@ import pinocchio as pin
 import pyarrow.parquet as pq
 import pytest
 
-from reference.tsid import campaign
+from reference.tsid import campaign, labels
+from reference.tsid.holding import effort
 from reference.tsid.journal import Busy, Journal
 from reference.tsid.robot import load
 from reference.tsid.sampling import draw, restore
@@ -46,40 +47,66 @@ def whole(folder):
 
 def test_a_row_says_what_was_simulated(whole):
     robot = load("talos")
-    table = rows(whole)
+    table, settings = rows(whole), json.loads(pq.read_schema(whole).metadata[b"tsid"])["settings"]
+    assert (settings["scenario"], settings["robot"], settings["seed"]) == ("four", "talos", 5)
     assert [row["index"] for row in table] == list(range(12))
     for row in table:
         sample = draw(robot, "four", 5, row["index"])
         np.testing.assert_array_equal(restore(robot.model, np.float32(row["q"])), sample.q)
         np.testing.assert_array_equal(row["v"], sample.v)
-        assert (row["scenario"], row["robot"], row["seed"], row["error"]) == ("four", "talos", 5, None)
+        assert row["error"] is None
         for found, contact in zip(row["contacts"], sample.contacts, strict=True):
-            assert found["effector"] == contact.effector and found["friction"] == 0.5
-            np.testing.assert_array_equal(found["position"], contact.placement.translation)
-            np.testing.assert_array_equal(np.reshape(found["rotation"], (3, 3)), contact.placement.rotation)
-            assert (found["half_length"], found["half_width"]) == (contact.half_length, contact.half_width)
+            assert found["effector"] == contact.effector
+            np.testing.assert_allclose(found["position"], contact.placement.translation, rtol=0, atol=5e-7)
+            turned = pin.Quaternion(np.array(found["quaternion"])).normalized().toRotationMatrix()
+            np.testing.assert_allclose(turned, contact.placement.rotation, rtol=0, atol=1e-6)
+            assert settings["effectors"][contact.effector] == {
+                "half_length": contact.half_length,
+                "half_width": contact.half_width,
+            }
+            assert settings["sampling"]["friction"] == contact.friction
         data = robot.model.createData()
         momentum = pin.computeCentroidalMomentum(robot.model, data, sample.q, sample.v)
-        np.testing.assert_array_equal(row["com"], data.com[0])
-        np.testing.assert_array_equal(row["com_velocity"], data.vcom[0])
-        np.testing.assert_array_equal(row["angular_momentum"], momentum.angular)
+        np.testing.assert_array_equal(row["com"], np.float32(data.com[0]))
+        np.testing.assert_array_equal(row["com_velocity"], np.float32(data.vcom[0]))
+        np.testing.assert_array_equal(row["angular_momentum"], np.float32(momentum.angular))
+        assert row["effort"] == np.float32(effort(robot, sample.q, sample.contacts))
 
 
-def test_the_best_of_three_runs_no_more_than_it_must(whole):
-    names = ("standard", "straight", "fast")
+def test_states_are_held_by_the_first_rows_only(tmp_path, whole):
+    path = tmp_path / "states.parquet"
+    assert campaign.main(arguments(path, "--states", "2", samples=4)) == 0
+    for row, other in zip(rows(path), rows(whole), strict=False):
+        held = row["index"] < 2
+        assert (row["q"], row["v"]) == ((other["q"], other["v"]) if held else (None, None))
+        assert {**row, "q": 0, "v": 0} == {**other, "q": 0, "v": 0}
+
+
+def test_the_best_of_several_runs_no_more_than_it_must(whole):
+    names = ("standard", "straight", "fast", "brake")
     best = set()
     for row in rows(whole):
         outcomes = [row[f"{name}_outcome"] for name in names]
         ran = [outcome for outcome in outcomes if outcome is not None]
-        assert outcomes == ran + [None] * (3 - len(ran))
-        assert "stopped" not in ran[:-1] and (ran[-1] == "stopped" or len(ran) == 3)
-        assert row["outcome"] == next(o for o in ("stopped", "undecided", "fallen") if o in ran)
+        assert outcomes == ran + [None] * (4 - len(ran))
+        assert "stopped" not in ran[:-1] and (ran[-1] == "stopped" or len(ran) == 4)
+        for column, some in (("outcome", ran[:3]), ("best_of_four", ran)):
+            assert row[column] == next(o for o in ("stopped", "undecided", "fallen") if o in some)
         for name, outcome in zip(names, outcomes, strict=True):
-            for column in ("reason", "time", "steps", "com_end"):
+            for column in ("reason", "steps"):
                 assert (row[f"{name}_{column}"] is None) == (outcome is None)
             assert row[f"{name}_refusals"] == (None if outcome is None else row[f"{name}_steps"] % 2)
-        best.add(row["outcome"])
-    assert best == {"stopped", "undecided", "fallen"}
+        best.add((row["outcome"], row["best_of_four"]))
+    assert {one for one, _ in best} == {"stopped", "undecided", "fallen"}
+
+
+def test_brake_changes_only_the_best_of_four():
+    settings = campaign.settings_of(campaign._parse(["four", "--samples", "1", "-o", "x.parquet", *FAKE]))
+    for brake in ("stopped", "undecided", "fallen"):
+        row = labels.judge(settings, lambda name, brake=brake: {f"{name}_outcome": brake if name == "brake" else "fallen"})
+        assert (row["outcome"], row["best_of_four"]) == ("fallen", brake)
+    row = labels.judge(settings, lambda name: {f"{name}_outcome": "stopped"})
+    assert row == {"standard_outcome": "stopped", "outcome": "stopped", "best_of_four": "stopped"}
 
 
 def test_every_controller_runs_if_asked(tmp_path, whole):
@@ -89,7 +116,7 @@ def test_every_controller_runs_if_asked(tmp_path, whole):
         == 0
     )
     table = rows(path)
-    assert "outcome" not in table[0] and "standard_outcome" not in table[0]
+    assert not {"outcome", "best_of_four", "standard_outcome"} & set(table[0])
     for row, other in zip(table, rows(whole), strict=False):
         assert row["straight_up_outcome"] == "stopped" and row["straight_outcome"] is not None
         assert (
@@ -124,8 +151,7 @@ def test_a_budget_ends_it_and_a_later_run_continues(tmp_path, whole):
         journal.append({"settings": header["settings"], "versions": header["versions"][0]})
         for row in rows(whole):
             if row["index"] in (0, 1, 3):
-                constant = ("scenario", "robot", "seed")
-                journal.append({name: x for name, x in row.items() if x is not None and name not in constant})
+                journal.append({name: x for name, x in row.items() if x is not None})
     assert campaign.main(arguments(path, "--budget", "1e-9")) == 3
     assert [row["index"] for row in rows(path)] == [0, 1]
     assert sorted(os.listdir(tmp_path)) == ["b.parquet", "b.parquet.journal"]
@@ -168,7 +194,7 @@ def test_killed_at_random_moments_it_resumes_to_the_same_bytes(tmp_path):
 
 def test_ctrl_c_keeps_the_journal_and_says_how_to_resume(tmp_path):
     path = tmp_path / "c.parquet"
-    program = (   # a shell that runs the tests in the background has the signal ignored
+    program = (  # a shell that runs the tests in the background has the signal ignored
         "import signal, sys; from reference.tsid.campaign import main;"
         "signal.signal(signal.SIGINT, signal.default_int_handler); sys.exit(main(sys.argv[1:]))"
     )
@@ -194,7 +220,7 @@ def test_a_failing_sample_fails_in_its_own_row(tmp_path, whole):
             else:
                 expected = "ArithmeticError: sample 2 is not to my taste" if name == "raises_at=2" else "exit code -6"
                 assert expected in row["error"]
-                assert row["outcome"] is row["standard_outcome"] is row["standard_time"] is None
+                assert row["outcome"] is row["standard_outcome"] is row["standard_steps"] is None
                 assert (row["q"] is None) == (name == "dies_at=2")
 
 

@@ -1,12 +1,15 @@
 """Joint acceleration bounds: they keep a viable joint viable for ever, do not cross, and are no tighter than that needs."""
 
 import numpy as np
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from reference.tsid.limits import acceleration_bounds, viable_speed
 
 ROUNDING = 1e-9
+
+COMPILING = settings(deadline=None)
+"""The first call compiles the bounds, which takes as long as the machine lets it."""
 
 
 def bounds(position, velocity, speed, deceleration, dt, lower=-1.0, upper=2.0, largest=np.inf):
@@ -30,6 +33,7 @@ def viable(place, pace, speed, deceleration, lower=-1.0, upper=2.0):
     return position, slowest + pace * (fastest - slowest)
 
 
+@COMPILING
 @given(share, share, brakes, steps, st.floats(0.1, 10.0), st.lists(share, min_size=1, max_size=50), st.booleans())
 def test_a_viable_joint_stays_viable_whatever_is_chosen(place, pace, deceleration, dt, speed, choices, capped):
     position, velocity = viable(place, pace, speed, deceleration)
@@ -47,6 +51,7 @@ def test_a_viable_joint_stays_viable_whatever_is_chosen(place, pace, deceleratio
         assert velocity**2 <= 2 * deceleration * room + 1e-6
 
 
+@COMPILING
 @given(share, share, brakes, steps)
 def test_braking_is_always_allowed(place, pace, deceleration, dt):
     position, velocity = viable(place, pace, 5.0, deceleration)
@@ -54,6 +59,7 @@ def test_braking_is_always_allowed(place, pace, deceleration, dt):
     assert least <= deceleration and greatest >= -deceleration
 
 
+@COMPILING
 @given(share, brakes, steps, st.floats(0.01, 1.0))
 def test_more_than_the_bound_cannot_be_stopped(place, deceleration, dt, excess):
     """From just beyond the bound the next state is not viable."""

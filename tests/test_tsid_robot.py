@@ -39,6 +39,31 @@ def test_talos_is_the_robot_of_the_campaign():
     assert robot.torque.max() == 300 and robot.speed.min() == 1.0
 
 
+def test_a_configuration_like_another_changes_what_it_names():
+    talos, strong = load("talos"), load("talos_strong_arms")
+    changed = {
+        name for name, one, other in zip(talos.model.names[2:], talos.torque, strong.torque, strict=True) if one != other
+    }
+    assert changed == {f"arm_{side}_{joint}_joint" for side in ("left", "right") for joint in (1, 2, 3, 4)}
+    assert set(strong.torque[talos.torque != strong.torque]) == {50.0}
+    assert strong.name == "talos_strong_arms" and strong.effectors == talos.effectors
+    np.testing.assert_array_equal(strong.home, talos.home)
+
+
+@pytest.mark.parametrize(
+    "line, message",
+    [
+        ("arm_left_9_joint = 50.0", "torque: 'arm_left_9_joint' is no joint of"),
+        ("arm_left_1_joint = 0", "arm_left_1_joint = 0 "),
+    ],
+)
+def test_wrong_torques_are_named(tmp_path, line, message):
+    path = tmp_path / "mine.toml"
+    path.write_text(f'like = "talos"\n[torque]\n{line}\n')
+    with pytest.raises(ValueError, match=message):
+        load(path)
+
+
 def test_limits_and_home(robot):
     n = robot.model.nv - 6
     for values in (robot.lower, robot.upper, robot.speed, robot.torque):
@@ -119,5 +144,5 @@ def test_mistakes_are_named(tmp_path, old, new, message):
 
 
 def test_unknown_robots_are_named():
-    with pytest.raises(FileNotFoundError, match=r"robot 'atlas': no such file \(by name: g1, talos\)"):
+    with pytest.raises(FileNotFoundError, match=r"robot 'atlas': no such file \(by name: g1, talos, talos_strong_arms\)"):
         load("atlas")

@@ -1,5 +1,7 @@
 """Samples keep what V-B asks of them, for two robots, and do not depend on who draws them."""
 
+import zlib
+
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -12,7 +14,14 @@ from reference.tsid.sampling import SCENARIOS, draw, restore
 from reference.tsid.wrench_cone import corner_points
 
 COUNT = 4
-CONTACTS = {"two_coplanar": 2, "two": 2, "three": 3, "four": 4}
+CONTACTS = {"two_coplanar": 2, "two": 2, "three": 3, "four": 4, "four_strong": 4}
+FIRST = {
+    "two_coplanar": [(1352084983, 1850912362), (3624408655, 1745917831), (425548917, 4225591000), (3489053346, 522692849)],
+    "two": [(1900067041, 1632553052), (3451055070, 2782607958), (2368984065, 2401573649), (1732030871, 3790563772)],
+    "three": [(2491974972, 2348734391), (1720159318, 3273688901), (2767136851, 2317965582), (382376065, 2074131644)],
+    "four": [(3087642878, 1472960555), (3785333998, 3911290995), (16953939, 3444230027), (3047475640, 4206807013)],
+}
+"""CRC-32 of q and v (float32) of samples 0, 1, ... with seed 2018."""
 TINY = 3e-6
 """What rounding to single precision leaves of a velocity that is meant to be zero [m/s, rad/s]."""
 
@@ -45,7 +54,31 @@ def test_a_sample_is_the_same_alone_and_in_any_order(robot, samples):
 def test_seeds_scenarios_and_indices_differ(drawn, robot):
     several = [*drawn, draw(robot, "two", 2, 0)]
     assert len({sample.v.tobytes() for sample in several}) == len(several)
+    several = [sample for sample in several if sample.scenario != "four_strong"]
     assert len({sample.q.tobytes() for sample in several}) == len(several)
+
+
+def com_speed(robot, sample):
+    data = robot.model.createData()
+    pin.centerOfMass(robot.model, data, sample.q, sample.v)
+    return np.linalg.norm(data.vcom[0])
+
+
+def test_strong_pushes_are_pushes_of_the_same_postures(robot, samples):
+    for one, other in zip(samples["four"], samples["four_strong"], strict=True):
+        np.testing.assert_array_equal(one.q, other.q)
+        assert one.contacts == other.contacts
+    speeds = [np.median([com_speed(robot, sample) for sample in samples[name]]) for name in ("four", "four_strong")]
+    assert speeds[1] > 2 * speeds[0]
+
+
+@pytest.mark.parametrize("scenario", ["two_coplanar", "two", "three", "four"])
+def test_samples_are_those_of_the_first_campaign(scenario):
+    """Posture and push of the first samples of seed 2018, as they were when the campaign was first run."""
+    talos = load("talos")
+    for index, (q, v) in enumerate(FIRST[scenario]):
+        sample = draw(talos, scenario, 2018, index)
+        assert [zlib.crc32(np.float32(values).tobytes()) for values in (sample.q, sample.v)] == [q, v]
 
 
 def test_contacts_are_where_the_effectors_are(robot, samples):
@@ -155,5 +188,5 @@ def test_without_angular_momentum(robot, samples):
 
 
 def test_an_unknown_scenario_is_named(robot):
-    with pytest.raises(ValueError, match="scenario = 'one' \\(expected one of: two_coplanar, two, three, four\\)"):
+    with pytest.raises(ValueError, match=r"scenario = 'one' \(expected one of: .*, four, four_strong\)"):
         draw(robot, "one", 0, 0)

@@ -12,6 +12,11 @@ from reference.tsid.simulator import Options, Outcome, Simulator
 from reference.tsid.wrench_cone import wrench_cone
 
 COUNT = 2
+RESCUED = 33
+"""A sample of `three` that only "brake" stops."""
+DWELL = 200
+"""Steps for which a stop lasts in `runs`: those of LASTING."""
+LASTING = Options(dwell=0.2)
 
 
 @pytest.fixture(scope="module")
@@ -26,7 +31,8 @@ def samples(robot):
 
 @pytest.fixture(scope="module")
 def runs(robot, samples):
-    simulator = Simulator(robot, CONFIGURATIONS["standard"])
+    """Longer than those without a dwell, which are their beginnings."""
+    simulator = Simulator(robot, CONFIGURATIONS["standard"], LASTING)
     return [simulator.run(sample, trace=True) for sample in samples]
 
 
@@ -41,10 +47,11 @@ def test_both_outcomes_occur_and_are_what_they_say(runs):
         trace = run.trace
         speed = np.linalg.norm(trace.v, axis=1)
         assert len(trace.t) == run.steps + 1 and run.time == trace.t[-1]
-        assert (speed[:-1] >= 0.01).all()
+        slow = speed < 0.01
+        assert not any(slow[i : i + DWELL + 1].all() for i in range(run.steps - DWELL))
         np.testing.assert_array_equal(run.com_end, trace.com[-1])
         if run.outcome == Outcome.STOPPED:
-            assert run.reason == "stopped" and speed[-1] < 0.01
+            assert run.reason == "stopped" and slow[-DWELL - 1 :].all() and len(slow) > DWELL
         elif run.reason == "infeasible":
             assert run.outcome == Outcome.FALLEN and run.counters["certified"] == 1 and trace.status[-1] == 1
         assert (trace.status[:-1] == 0).all()
@@ -90,11 +97,11 @@ def test_wrenches_are_in_their_cones(samples, runs):
             assert (run.trace.wrenches[: run.steps, i] @ cone.T).max(initial=-1.0) < 0.05
 
 
-def test_torques_and_joints_keep_their_limits(robot, runs):
+def test_torques_and_joints_keep_their_limits(robot, runs, largest=10.0):
     for run in runs:
         trace = run.trace
         assert (np.abs(trace.tau[: run.steps]) <= robot.torque + 1e-2).all()
-        assert (np.abs(trace.a[: run.steps, 6:]) <= 10.0 + 1e-3).all()
+        assert (np.abs(trace.a[: run.steps, 6:]) <= largest + 1e-3).all()
         assert (np.abs(trace.v[:, 6:]) <= robot.speed + 1e-4).all()
         assert (trace.q[:, 7:] <= robot.upper + 1e-5).all() and (trace.q[:, 7:] >= robot.lower - 1e-5).all()
 
@@ -127,7 +134,7 @@ def test_com_velocity_is_the_com_s(runs):
 
 def test_a_run_depends_on_its_sample_alone(robot, samples, runs):
     """The same bits, alone, in another order, with and without a trace."""
-    simulator = Simulator(robot, CONFIGURATIONS["standard"])
+    simulator = Simulator(robot, CONFIGURATIONS["standard"], LASTING)
     for i in (5, 2, 0):
         again = simulator.run(samples[i])
         assert again.trace is None
@@ -139,6 +146,32 @@ def test_without_a_push_the_robot_has_stopped(robot, samples):
     still = samples[0]._replace(v=np.zeros(robot.model.nv))
     run = Simulator(robot, CONFIGURATIONS["standard"]).run(still)
     assert (run.outcome, run.reason, run.steps, run.time) == (Outcome.STOPPED, "stopped", 0, 0.0)
+    run = Simulator(robot, CONFIGURATIONS["standard"], LASTING).run(still)
+    assert (run.outcome, run.reason, run.steps, run.time) == (Outcome.STOPPED, "stopped", DWELL, 0.2)
+
+
+def test_a_dwell_changes_nothing_before_the_first_dip(robot, samples, runs):
+    """The run without a dwell, the default, is the beginning of the run with one, and ends where that is slow first."""
+    simulator = Simulator(robot, CONFIGURATIONS["standard"])
+    for sample, run in zip(samples, runs, strict=True):
+        slow = np.linalg.norm(run.trace.v, axis=1) < 0.01
+        first = int(slow.argmax()) if slow.any() else run.steps
+        short = simulator.run(sample, trace=True)
+        assert "dips" not in short.counters
+        assert short.steps == first and (short.outcome == Outcome.STOPPED) == slow.any()
+        assert (run.outcome == Outcome.STOPPED or run.counters.get("dips", 0) > 0) == slow.any()
+        np.testing.assert_array_equal(short.trace.v, run.trace.v[: first + 1])
+
+
+def test_brake_stops_within_the_limits(robot):
+    """A robot that the three let fall; the laws are those of every run."""
+    sample = draw(robot, "three", 2018, RESCUED)
+    four = (Simulator(robot, CONFIGURATIONS[name]) for name in ("standard", "straight", "fast", "brake"))
+    runs = [simulator.run(sample, trace=True) for simulator in four]
+    assert [run.outcome for run in runs] == [Outcome.FALLEN] * 3 + [Outcome.STOPPED]
+    test_torques_and_joints_keep_their_limits(robot, runs[3:], 30.0)
+    test_wrenches_are_in_their_cones([sample], runs[3:])
+    test_newton_euler(robot, [sample], runs[3:])
 
 
 def test_feasible_at_rest_is_never_fallen(robot, samples):
@@ -188,5 +221,7 @@ def test_constant_momentum_stays_zero(robot):
 def test_options_are_checked(robot):
     with pytest.raises(ValueError, match=r"solver = 'simplex' \(expected one of: daqp, proxqp\)"):
         Simulator(robot, CONFIGURATIONS["standard"], Options(solver="simplex"))
+    with pytest.raises(ValueError, match=r"dwell = -0.1 \(expected at least 0\)"):
+        Simulator(robot, CONFIGURATIONS["standard"], Options(dwell=-0.1))
     with pytest.raises(ValueError, match=r"dt = 0.0 \(expected a positive number\)"):
         Simulator(robot, CONFIGURATIONS["standard"], Options(dt=0.0))

@@ -3,7 +3,7 @@
 import pytest
 
 from reference.tsid import campaign, summary
-from reference.tsid.labels import labeller
+from reference.tsid.labels import BEST_OF_FOUR, labeller
 from reference.tsid.robot import load
 from reference.tsid.table import write
 
@@ -28,14 +28,31 @@ def best(tmp_path_factory):
 def test_summary_counts_every_run_once(best):
     path, rows = best
     about, *lines = summary.lines(path)
-    assert "4 samples, 1 errors" in about and "seed 3" in about
-    for controller, line in zip(campaign.BEST_OF_THREE, lines, strict=False):
+    assert "4 samples, 1 errors" in about and "seed 3" in about and "best of four: " in about
+    assert f"{sum(row['effort'] <= 1 for row in rows[:3])} of 3 can be held" in about
+    for controller, line in zip(BEST_OF_FOUR, lines, strict=False):
         name, its, ran, *cells = line.split()
         reasons = [row[f"{controller}_reason"] for row in rows if f"{controller}_reason" in row]
         assert (name, its, int(ran)) == ("two", controller, len(reasons))
         assert [int(cell) for cell in cells[:5]] == [reasons.count(reason) for reason in summary.REASONS]
         assert sum(map(int, cells[:5])) == len(reasons)
     assert lines[-1] == "two.parquet: sample 3: ArithmeticError: none"
+
+
+def test_a_dip_changes_the_label_of_what_did_not_stop(tmp_path):
+    """The row of a failure has no label, what stopped keeps its own, and a dip under "brake" is one of the best of four."""
+    path = tmp_path / "two.parquet"
+    options = ["two", "--samples", "5", "-o", str(path), "--seed", "3", "--set", "dwell=0.2"]
+    settings = campaign.settings_of(campaign._parse(options))
+    found = [("fallen", "fallen", {}), ("fallen", "stopped", {"fast_dips": 1}), ("stopped", "stopped", {"standard_dips": 1})]
+    found += [("undecided", "undecided", dips) for dips in ({"brake_dips": 2}, {"standard_dips": 1, "fast_dips": 1})]
+    rows = [{"outcome": three, "best_of_four": four} | dips for three, four, dips in found] + [{"error": "none"}]
+    dwell = "stops changed by the dwell of 0.2 s"
+    assert summary._changed(settings._asdict(), rows) == [
+        f"outcome: 2 {dwell} (1 fallen, 1 undecided)",
+        f"best_of_four: 2 {dwell} (2 undecided)",
+    ]
+    assert summary._changed(settings._asdict() | {"options": {"dwell": 0.0}}, rows) == []
 
 
 def test_summary_of_a_folder(best, capsys, tmp_path):

@@ -5,6 +5,7 @@ import pinocchio as pin
 import pytest
 from scipy.optimize import nnls
 
+import reference.tsid.wrench_cone as wrench_cone_module
 from reference.contacts import wrench_rays
 from reference.tsid.robot import Contact
 from reference.tsid.wrench_cone import corner_points, equilibrium, wrench_cone
@@ -88,3 +89,15 @@ def test_equilibrium_does_not_depend_on_the_frame():
 def test_bad_shapes_are_named(name, shape):
     with pytest.raises(ValueError, match=f"{name} = .* \\(expected a positive number\\)"):
         wrench_cone(*shape)
+
+
+def test_least_squares_and_the_linear_program_say_the_same(monkeypatch):
+    """Near the edge of what a foot holds and far from it: least squares decide nearly all, and as the program does."""
+    rng = np.random.default_rng(4)
+    flat = [contact(), contact(placement=pin.SE3(np.eye(3), np.array([0.0, 0.2, 0.0])))]
+    proved, found, cases = wrench_cone_module._proved, [], []
+    monkeypatch.setattr(wrench_cone_module, "_proved", lambda *given: found.append(proved(*given)))  # returns None
+    for _ in range(60):
+        cases.append(equilibrium(flat, rng.uniform([-0.12, -0.1, 0.8], [0.12, 0.3, 0.9])))
+    decided = [(one, other) for one, other in zip(found, cases, strict=True) if one is not None]
+    assert len(decided) > 50 and all(one == other for one, other in decided) and {True, False} == set(cases)

@@ -83,7 +83,7 @@ def test_the_area_over_flat_ground_is_that_of_the_feet(form):
         area = velocity_area(cone, np.array([x, 0.03, HEIGHT]), headings(MANY))
         assert area.standing == standing
         (outline,) = area.outline()
-        inside = (CORNERS - [x, 0.03]) * OMEGA   # the feet's hull, seen from the CoM
+        inside = (CORNERS - [x, 0.03]) * OMEGA  # the feet's hull, seen from the CoM
         hull = ConvexHull(inside)
         on_edge = (outline @ hull.equations[:, :2].T + hull.equations[:, 2]).max(axis=1)
         np.testing.assert_allclose(on_edge, 0, atol=1e-8)
@@ -120,7 +120,7 @@ def test_the_mesh_is_closed_and_holds_the_volume_of_its_cones(samples):
             area = velocity_area(cone, com + np.array(moved), towards)
             vertices, triangles = area.mesh(longest=3.0)
             sides = np.concatenate([triangles[:, [i, (i + 1) % 3]] for i in range(3)])
-            places = {tuple(p): i for i, p in enumerate(vertices)}   # at zero several vertices are one place
+            places = {tuple(p): i for i, p in enumerate(vertices)}  # at zero several vertices are one place
             same = np.array([places[tuple(p)] for p in vertices]) if len(vertices) else np.zeros(0, int)
             count = {}
             for a, b in same[sides]:
@@ -202,7 +202,7 @@ def test_robustness_is_the_smallest_of_many_directions(samples):
 
 def test_robustness_along_a_kink_of_the_largest_speed():
     """C1 meets C2 at this weakest direction, between a steep side and a flat one: a hasty search sticks to the kink."""
-    *_, (arrays, cone, com) = standing_samples(5, 15, (3,))   # the first of them with such a kink
+    *_, (arrays, cone, com) = standing_samples(5, 15, (3,))  # the first of them with such a kink
     towards = robustness(cone, com).direction + 1e-4 * sphere(MANY)
     cases = np.asarray(jaxcap.score(cone, np.tile(com, (MANY, 1)), 100 * towards).case)
     assert set(cases) == {jaxcap.Case.C1, jaxcap.Case.C2}
@@ -365,7 +365,7 @@ def test_the_com_area_over_flat_ground_is_the_feet_shifted_back(form):
     (outline,) = area.outline()
     ahead = np.abs(outline + velocity[:2] / OMEGA) - [0.1, 0.15]
     np.testing.assert_allclose(ahead.max(axis=1), 0, atol=1e-9)
-    assert area.size() == pytest.approx(0.2 * 0.3, rel=0.1)   # a few lines cut the corners
+    assert area.size() == pytest.approx(0.2 * 0.3, rel=0.1)  # a few lines cut the corners
 
 
 def test_the_com_area_is_where_the_verdict_is_yes(samples):
@@ -381,7 +381,7 @@ def test_the_com_area_is_where_the_verdict_is_yes(samples):
         coms = np.column_stack([places, np.full(len(places), com[2])])
         verdict = np.asarray(jaxcap.score(cone, coms, np.tile(velocity, (len(coms), 1))).capturable)
         inside, distance = in_polygons(area.outline(), places)
-        clear = distance > 0.01   # between two lines an edge is a chord
+        clear = distance > 0.01  # between two lines an edge is a chord
         np.testing.assert_array_equal(verdict[clear], inside[clear])
         found += (verdict & clear).sum(), (~verdict & clear).sum()
     assert (found > 200).all()

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-CONFIGURATIONS = {"standard": 0.3, "straight": 0.5, "fast": 0.6, "straight_up": 1.0}
+CONFIGURATIONS = {"standard": 0.3, "straight": 0.5, "fast": 0.6, "brake": 0.7, "straight_up": 1.0}
 """Each stops the robots whose number is less than this."""
 
 
@@ -31,7 +31,6 @@ class Run(NamedTuple):
     reason: str
     time: float
     steps: int
-    com_end: np.ndarray
     counters: dict
     trace: None = None
 
@@ -51,4 +50,4 @@ class Simulator:
         number = float(np.abs(sample.v).sum()) % 1.0
         outcome = Outcome.STOPPED if number < self.stops_below else (Outcome.FALLEN, Outcome.UNDECIDED)[sample.index % 2]
         steps = int(3000 * number)
-        return Run(outcome, "because", steps * 1e-3, steps, sample.q[:3] + number, {"refusals": 1} if steps % 2 else {})
+        return Run(outcome, "because", steps * 1e-3, steps, {"refusals": 1} if steps % 2 else {})

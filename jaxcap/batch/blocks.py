@@ -1,15 +1,21 @@
-"""Rows in blocks for cores and devices, and in chunks for the cache."""
+"""Rows in blocks for cores and devices, and in chunks for the cache.
+
+Two loops over blocks are here, and every other part of the library uses one of them: `over_blocks` on the host, from one
+thread a core, and `over_chunks` inside a program.
+"""
 
 import os
 import sys
 from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 
 from jaxcap.contacts.cone import CentroidalCone, ConeRays
+from jaxcap.numerics.whole import ceil_div, round_up
 
 BLOCK = 1 << 13
 """States of a block, one call of the compiled program; several run at a time."""
@@ -17,24 +23,38 @@ RAYS_BLOCK = 1 << 12
 """The same where every state has its own contacts: it takes longer, and both cores should have work."""
 ROWS = 16
 """Faces are padded to a multiple of this, so that not every contact set is compiled anew."""
+LANES = 64
+"""States of a chunk, computed side by side: rows x lanes numbers should fit the cache."""
+
 
 def padded_cone(cone: CentroidalCone | ConeRays) -> CentroidalCone | ConeRays:
     """The same, faces padded to a multiple of ROWS."""
-    return cone.padded(-(-max(len(cone.faces), 1) // ROWS) * ROWS) if isinstance(cone, CentroidalCone) else cone
+    return cone.padded(round_up(max(len(cone.faces), 1), ROWS)) if isinstance(cone, CentroidalCone) else cone
 
 
-def side_by_side(run, items: Iterable, ahead: int = sys.maxsize) -> Iterator:
+def over_blocks(run: Callable[[int], Any], n: int, block: int) -> Any:
+    """run(start) for the block that begins with each row, joined, and cut to n rows; of no rows, those of one empty block.
+
+    The first block runs alone: it compiles the program, which the others share.
+    """
+    first, *starts = range(0, max(n, 1), block)
+    parts = [run(first), *side_by_side(run, starts)]
+    return jax.tree.map(lambda *fields: jnp.concatenate(fields)[:n], *parts)
+
+
+def side_by_side(run: Callable[[Any], Any], items: Iterable, ahead: int = sys.maxsize) -> Iterator:
     """The results of run(item), in order, from one thread a core: on a CPU, JAX runs what one thread asks for in sequence.
 
     ahead: how many items at most are begun beyond the one whose result is waited for. Called when the program is compiled.
     """
-    x64, device = jax.config.jax_enable_x64, jax.config.jax_default_device
+    # JAX makes the settings' names at run time.
+    x64, device = jax.config.jax_enable_x64, jax.config.jax_default_device  # type: ignore[attr-defined]
 
-    def in_thread(item):
-        with jax.enable_x64(x64), jax.default_device(device):   # both settings belong to a thread
+    def in_thread(item: Any) -> Any:
+        with jax.enable_x64(x64), jax.default_device(device):  # both settings belong to a thread
             return jax.block_until_ready(run(item))
 
-    waiting = deque()
+    waiting: deque = deque()
     with ThreadPoolExecutor(max_workers=os.cpu_count()) as threads:
         try:
             for item in items:
@@ -48,26 +68,23 @@ def side_by_side(run, items: Iterable, ahead: int = sys.maxsize) -> Iterator:
                 future.cancel()
 
 
-def block_of(per_state, n: int, start: int, block: int, shares: int = 1):
-    """One block of n states, padded to the next of a few sizes, each of which is compiled once, in equal shares."""
-    rows = -(-min(block, n - start) // shares)
+def block_of(rows: Any, n: int, start: int, block: int, shares: int = 1) -> Any:
+    """One block of n rows, padded to the next of a few sizes, each of which is compiled once, in equal shares."""
+    count = ceil_div(min(block, n - start), shares)
     most = block // shares
-    size = most if start else min(most, max(LANES, 1 << max(rows - 1, 0).bit_length()))
-    return padded(jax.tree.map(lambda leaf: leaf[start : start + block], per_state), shares * size)
+    size = most if start else min(most, max(LANES, 1 << max(count - 1, 0).bit_length()))
+    return padded(jax.tree.map(lambda leaf: leaf[start : start + block], rows), shares * size)
 
 
-LANES = 64
-"""States of a chunk, computed side by side: rows x lanes numbers should fit the cache."""
-
-def over_chunks(one, rows, lanes: int = LANES):
-    """`one` of all rows, a chunk at a time, a row a lane."""
+def over_chunks(one: Callable, rows: Any, lanes: int = LANES) -> Any:
+    """`one` of all rows, a chunk at a time, a row a lane; lanes come last in what `one` takes and returns."""
     n = len(jax.tree.leaves(rows)[0])
-    chunks = -(-n // lanes)
+    chunks = ceil_div(n, lanes)
     to_chunks = lambda x: jnp.moveaxis(x.reshape(chunks, lanes, *x.shape[1:]), 1, -1)
-    answers = jax.lax.map(one, jax.tree.map(to_chunks, padded(rows, chunks * lanes)))
-    return jax.tree.map(lambda x: jnp.moveaxis(x, -1, 1).reshape(chunks * lanes, *x.shape[1:-1])[:n], answers)
+    found = jax.lax.map(one, jax.tree.map(to_chunks, padded(rows, chunks * lanes)))
+    return jax.tree.map(lambda x: jnp.moveaxis(x, -1, 1).reshape(chunks * lanes, *x.shape[1:-1])[:n], found)
 
 
-def padded(per_state, size: int):
+def padded(rows: Any, size: int) -> Any:
     """With rows of zeros, up to this number."""
-    return jax.tree.map(lambda x: jnp.pad(x, ((0, size - len(x)), *[(0, 0)] * (x.ndim - 1))), per_state)
+    return jax.tree.map(lambda x: jnp.pad(x, ((0, size - len(x)), *[(0, 0)] * (x.ndim - 1))), rows)

@@ -1,5 +1,8 @@
 """Several devices: which of them compute, and a program that runs on all at a time."""
 
+from collections.abc import Callable
+from typing import Any
+
 import jax
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
@@ -8,7 +11,7 @@ AXIS = "devices"
 """Name of the mesh's one axis."""
 
 
-def spread_over(arrays) -> tuple[jax.Device, ...]:
+def spread_over(arrays: Any) -> tuple[jax.Device, ...]:
     """The devices among which rows are divided. Fewer than two: nothing is divided, and JAX places as it always does.
 
     An array that was placed (`jax.device_put` with a device or a sharding) says where: on its devices. Without one,
@@ -17,7 +20,8 @@ def spread_over(arrays) -> tuple[jax.Device, ...]:
     for leaf in jax.tree.leaves(arrays):
         if isinstance(leaf, jax.Array) and leaf.committed:
             return tuple(sorted(leaf.devices(), key=lambda device: device.id))
-    return () if jax.config.jax_default_device is not None else tuple(jax.local_devices())
+    default = jax.config.jax_default_device  # type: ignore[attr-defined]   # JAX makes these at run time
+    return () if default is not None else tuple(jax.local_devices())
 
 
 class Spread:
@@ -26,12 +30,12 @@ class Spread:
     It is compiled once for all of them. No device waits for another: loops may be of different length on each.
     """
 
-    def __init__(self, one, devices: tuple[jax.Device, ...]):
+    def __init__(self, one: Callable, devices: tuple[jax.Device, ...]):
         mesh = Mesh(np.array(devices), (AXIS,))
         self._common, self._rows = NamedSharding(mesh, PartitionSpec()), NamedSharding(mesh, PartitionSpec(AXIS))
-        specs = {"in_specs": (self._common.spec, self._rows.spec), "out_specs": self._rows.spec}
         # check_vma: loops begin with zeros that are the same on every device, and end with what is not
-        self._run = jax.jit(jax.shard_map(one, mesh=mesh, check_vma=False, **specs))
+        specs = self._common.spec, self._rows.spec
+        self._run = jax.jit(jax.shard_map(one, mesh=mesh, check_vma=False, in_specs=specs, out_specs=self._rows.spec))
 
     def everywhere(self, common):
         """The same on every device."""

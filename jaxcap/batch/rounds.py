@@ -1,104 +1,171 @@
 """A block of states: chunks for the cache, two rounds so that a chunk seldom waits for its slowest lane."""
 
 import functools
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jaxtyping import Array, Float, Int, Int8, Num
 
 from jaxcap.batch.blocks import LANES, over_chunks, padded
-from jaxcap.contacts.cone import CentroidalCone
+from jaxcap.contacts.cone import CentroidalCone, ConeRays
+from jaxcap.numerics.whole import ceil_div
 from jaxcap.one_state.capturability import capturability_of_lanes
 from jaxcap.one_state.decision import capturability_at
-from jaxcap.one_state.line import survey_of_lanes, travel_of_lanes
+from jaxcap.one_state.line import Motion, motion_of_lanes, survey_of_lanes
+from jaxcap.one_state.polygon import Survey
+from jaxcap.one_state.result import Capturability
 
 FEW_ROWS = 160
 """Up to so many faces, a chunk has twice as many lanes: what each operation costs besides its numbers is shared by more."""
 
 
-@functools.partial(jax.custom_jvp, nondiff_argnums=(3,))
-def answers(common, per_state, gravity, neighbours: bool):
-    """`capturability` of the states of a block."""
-    return answer_block(common, per_state, gravity, neighbours)
+class States(NamedTuple):
+    """What differs from state to state: rows first in a block, lanes last in a chunk."""
+
+    coms: Num[Array, "n 3"]
+    """[m]"""
+    com_velocities: Num[Array, "n 3"]
+    """[m/s]"""
+    cones: ConeRays | None = None
+    """The contacts of each state, where they are its own."""
 
 
-@answers.defjvp
-def _answers_jvp(neighbours, primals, tangents):
+class Shared(NamedTuple):
+    """What the states of a block have in common."""
+
+    gravity: Num[Array, "3"]
+    """[m/s^2]"""
+    cone: CentroidalCone | ConeRays | None = None
+    """The contacts of all states, where these have none of their own."""
+
+    def cone_of(self, states: States) -> CentroidalCone | ConeRays:
+        """The contacts of these states."""
+        cone = self.cone if states.cones is None else states.cones
+        assert cone is not None, "states without contacts"
+        return cone
+
+
+@functools.partial(jax.custom_jvp, nondiff_argnums=(2,))
+def scored_block(shared: Shared, states: States, neighbours: bool) -> Capturability:
+    """`capturability` of the states of a block, differentiable."""
+    return in_two_rounds(shared, states, neighbours)
+
+
+@scored_block.defjvp
+def _scored_block_jvp(neighbours: bool, primals: tuple, tangents: tuple) -> tuple[Capturability, Capturability]:
     """Derivatives are those of one round: the second has a loop of unknown length, and puts its answers over the first's."""
 
-    def in_one_round(common, per_state, gravity):
-        return over_chunks(lambda states: capturability_of_lanes(*_arguments(common, states), gravity), per_state)
+    def in_one_round(shared: Shared, states: States) -> Capturability:
+        of_lanes = lambda lanes: capturability_of_lanes(
+            shared.cone_of(lanes), lanes.coms, lanes.com_velocities, shared.gravity
+        )
+        return over_chunks(of_lanes, states)
 
     return jax.jvp(in_one_round, primals, tangents)
 
 
-def answer_block(common, per_state, gravity, neighbours: bool = False, answer=capturability_at):
-    """The answers for one block, in two rounds. answer: of lines of travel, speeds along them, and whether they are finite.
+class _Glance(NamedTuple):
+    """What the first round leaves of a state."""
+
+    answer: Any
+    skipped: Int8[Array, " n"]
+    """`Line.skipped`."""
+    slope: Float[Array, " n"]
+    """Of the last line that was walked [1/s^2]."""
+    survey: Survey
+
+
+def in_two_rounds(
+    shared: Shared, states: States, neighbours: bool = False, answer: Callable[[Motion], Any] = capturability_at
+) -> Any:
+    """The answers for one block. answer: of motions side by side, lanes last.
 
     A chunk takes as long as its slowest lane. So all states are looked at quickly, which settles most of them; the others go
     into the second round, side by side with those that have the same left to find out.
     """
-    n = len(jax.tree.leaves(per_state)[0])
-    lanes = 2 * LANES if isinstance(common, CentroidalCone) and len(common.faces) <= FEW_ROWS and n >= 2 * LANES else LANES
-    travel = lambda states, survey, quick: travel_of_lanes(*_arguments(common, states), gravity, survey, quick)
+    lanes = _lanes(shared, len(states.coms))
+    surveys = _surveys(shared, states) if neighbours else None
 
-    def first(rows):
-        line, *motion = travel(*rows, quick=True)
-        return answer(line, *motion), line.left, line.lower.pieces.slope[-1], _lean(line.survey)
+    def first(rows: tuple[States, Survey | None]) -> _Glance:
+        motion = _motion(shared, *rows, quick=True)
+        line = motion.line
+        return _Glance(answer(motion), line.skipped, line.lower.pieces.slope[-1], _lean(line.survey))
 
-    surveys = _surveys(common, per_state, gravity) if neighbours else None
-    answers, left, slope, surveys = over_chunks(first, (per_state, surveys), lanes)
-    order, count = unsettled(left, slope, lanes)
-    rows = jax.tree.map(lambda x: x[order], (per_state, surveys))
+    glance = over_chunks(first, (states, surveys), lanes)
+    order, count = unsettled(glance.skipped, glance.slope, lanes)
+    return _second_round(shared, (states, glance.survey), order, count, glance.answer, answer, lanes)
 
-    def second(chunk, answers):
+
+def _second_round(
+    shared: Shared,
+    rows: tuple[States, Survey],
+    order: Int[Array, " m"],
+    count: Int[Array, ""],
+    answers: Any,
+    answer: Callable[[Motion], Any],
+    lanes: int,
+) -> Any:
+    """The answers, with those of the first `count` rows of `order` found anew, by a whole walk."""
+    n = len(rows[0].coms)
+    rows = jax.tree.map(lambda x: x[order], rows)
+
+    def one_chunk(chunk, answers):
         start = chunk * lanes
         cut = lambda x: jax.lax.dynamic_slice_in_dim(x, start, lanes)
-        found = answer(*travel(*jax.tree.map(lambda x: jnp.moveaxis(cut(x), 0, -1), rows), quick=False))
-        place = jnp.where(start + jnp.arange(lanes) < count, cut(order), n)   # beyond the last: dropped
+        states, survey = jax.tree.map(lambda x: jnp.moveaxis(cut(x), 0, -1), rows)
+        found = answer(_motion(shared, states, survey, quick=False))
+        place = jnp.where(start + jnp.arange(lanes) < count, cut(order), n)  # beyond the last: dropped
         return jax.tree.map(lambda x, y: x.at[place].set(jnp.moveaxis(y, -1, 0), mode="drop"), answers, found)
 
-    return jax.lax.fori_loop(0, -(-count // lanes), second, answers)
+    return jax.lax.fori_loop(0, ceil_div(count, lanes), one_chunk, answers)
 
 
-def unsettled(left, slope, lanes: int):
-    """Indices of the rows where something is left, those alike together, padded to whole chunks; and how many they are.
+def _lanes(shared: Shared, n: int) -> int:
+    """How many states of a block of n share a chunk."""
+    few = isinstance(shared.cone, CentroidalCone) and len(shared.cone.faces) <= FEW_ROWS
+    return 2 * LANES if few and n >= 2 * LANES else LANES
+
+
+def _motion(shared: Shared, lanes: States, survey: Survey | None, quick: bool) -> Motion:
+    return motion_of_lanes(shared.cone_of(lanes), lanes.coms, lanes.com_velocities, shared.gravity, survey, quick)
+
+
+def unsettled(skipped: Int8[Array, " n"], slope: Float[Array, " n"], lanes: int) -> tuple[Int[Array, " m"], Int[Array, ""]]:
+    """Indices of the rows where something was skipped, those alike together, padded to whole chunks; and how many they are.
 
     slope: where the quick look stopped [1/s^2]; the steeper a boundary still falls, the more pieces follow. All is sorted as
-    one integer, five times as fast as by two keys: four bits for what is left, the rest for the slope and the index.
+    one integer, five times as fast as by two keys: four bits for what was skipped, the rest for the slope and the index.
     """
-    n = len(left)
+    n = len(skipped)
     levels = 1 << max(27 - n.bit_length(), 0)
     level = (levels - 1) * (0.5 + 0.5 * slope / (1 + jnp.abs(slope)))
-    level = jnp.where(level >= 0, level, 0).astype(jnp.int32)   # NaN is not
-    kind = jnp.where(left == 0, 8, left).astype(jnp.int32)   # what is settled comes last
+    level = jnp.where(level >= 0, level, 0).astype(jnp.int32)  # NaN is not
+    kind = jnp.where(skipped == 0, 8, skipped).astype(jnp.int32)  # what is settled comes last
     order = jnp.sort((kind * levels + level) * n + jnp.arange(n, dtype=jnp.int32)) % n
-    return jnp.pad(order, (0, -n % lanes)), jnp.sum(left != 0, dtype=jnp.int32)
+    return jnp.pad(order, (0, -n % lanes)), jnp.sum(skipped != 0, dtype=jnp.int32)
 
 
-def _lean(survey):
+def _lean(survey: Survey) -> Survey:
     """Without what no other round needs."""
     return survey._replace(near=())
 
 
-def _surveys(common, per_state, gravity):
+def _surveys(shared: Shared, states: States) -> Survey:
     """All surveys of a block of neighbours, which share a lane: each begins where the one before has ended."""
-    one = lambda states, near=None: survey_of_lanes(*_arguments(common, states), gravity, near)
-    n, steps = len(per_state[0]), -(-len(per_state[0]) // LANES)
-    to_steps = lambda x: jnp.moveaxis(x.reshape(LANES, steps, *x.shape[1:]), 0, -1)
-    states = jax.tree.map(to_steps, padded(per_state, steps * LANES))
 
-    def step(near, states):
-        survey = one(states, near)
+    def one(lanes: States, near: Any = None) -> Survey:
+        return survey_of_lanes(shared.cone_of(lanes), lanes.coms, lanes.com_velocities, shared.gravity, near)
+
+    n, steps = len(states.coms), ceil_div(len(states.coms), LANES)
+    to_steps = lambda x: jnp.moveaxis(x.reshape(LANES, steps, *x.shape[1:]), 0, -1)
+    stepwise = jax.tree.map(to_steps, padded(states, steps * LANES))
+
+    def step(near, lanes):
+        survey = one(lanes, near)
         return survey.near, _lean(survey)
 
-    first = one(jax.tree.map(lambda x: x[0], states))
-    surveys = jax.lax.scan(step, first.near, states)[1]
+    first = one(jax.tree.map(lambda x: x[0], stepwise))
+    surveys = jax.lax.scan(step, first.near, stepwise)[1]
     return jax.tree.map(lambda x: jnp.moveaxis(x, -1, 0).reshape(-1, *x.shape[1:-1])[:n], surveys)
-
-
-def _arguments(common, states):
-    """Cone, CoM and velocity of a chunk; the cone is common, or every state's own."""
-    com, com_velocity, *own = states
-    return (*own, com, com_velocity) if own else (common, com, com_velocity)
-
-

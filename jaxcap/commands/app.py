@@ -1,21 +1,28 @@
 """The subcommands of `jaxcap`, by name. Importing this module needs tyro and tqdm (extra `cli`)."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import tyro
 
 from jaxcap.commands.map import MAP, map_kernel
 from jaxcap.commands.plot import PLOT, plot
-from jaxcap.commands.score import SCORE, score
+from jaxcap.commands.score import score
+from jaxcap.commands.score_help import SCORE
 
-COMMANDS = {"score": (score, SCORE), "map": (map_kernel, MAP), "plot": (plot, PLOT)}
+COMMANDS: dict[str, tuple[Callable[..., None], str]] = {
+    "score": (score, SCORE),
+    "map": (map_kernel, MAP),
+    "plot": (plot, PLOT),
+}
+"""The function, and the text of its help."""
+
 
 def run(arguments: Sequence[str]) -> None:
     """Parses the arguments and runs the subcommand. Raises SystemExit after --help and for wrong usage."""
     app = tyro.extras.SubcommandApp()
     for name, (command, text) in COMMANDS.items():
         chosen = name in arguments[:1]  # the list of commands gives each one line
-        app.command(command, name=name, help=text if chosen else text.partition("\n")[0])
+        app.command(name=name, help=text if chosen else text.partition("\n")[0])(command)
     app.cli(
         prog="jaxcap",
         description="Can this robot still stop? Zero-step capturability in multi-contact.\n\n"

@@ -45,4 +45,4 @@ def compilation_cache(directory: Path | None) -> Iterator[None]:
 def _set(settings: dict) -> None:
     for name, value in settings.items():
         jax.config.update(name, value)
-    reset_cache()   # JAX looks at its settings once, when it compiles for the first time
+    reset_cache()  # JAX looks at its settings once, when it compiles for the first time

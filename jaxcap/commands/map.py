@@ -3,19 +3,17 @@
 import sys
 import time
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import jax
-import numpy as np
 import tyro
 
 from jaxcap.commands.compile_cache import compilation_cache
 from jaxcap.commands.options import named_values
-from jaxcap.commands.summary import rounding
 from jaxcap.errors import InputError
 from jaxcap.files.contact_files import read_contact_sets
 from jaxcap.maps.contact_axes import Contacts, given_sets, with_sets
-from jaxcap.maps.grid import POSITION, axes_around, grid
+from jaxcap.maps.grid import axes_around, grid_of
 
 MAP = """Map where a robot can stop: capturability over a grid of states.
 
@@ -64,6 +62,14 @@ OUT
   .nc    netCDF: has to fit into memory, and is written whole or not at all.
   Both open with xarray.open_dataset: dimensions in the order given, units, the
   contacts, gravity, sides and version as attributes. Angles are in radians.
+  In Zarr, a piece whose file is lost reads as NaN, and as -1 in capturable,
+  case and status, which are whole numbers there.
+
+NOTES
+  A line on stderr, and in the attribute notes, if most of the map is hardly
+  plausible: the CoM more than 10 m from all contacts or below all of them,
+  contacts more than 5 m apart, normals that all point away from the CoM. With
+  --strict that is an error, and nothing is written.
 
 COMPILING
   Takes seconds, once a run. With --cache DIR the programs are kept in DIR,
@@ -85,6 +91,7 @@ def map_kernel(
     dtype: Literal["float32", "float64"] = "float32",
     sides: int = 4,
     cache: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
+    strict: bool = False,
     force: bool = False,
 ) -> None:
     """Computes a map and writes it; see MAP.
@@ -99,28 +106,32 @@ def map_kernel(
         dtype: Precision of the computation and of the figures written.
         sides: Edges of the pyramid that replaces each friction cone, at least 3.
         cache: Keep compiled programs in this directory.
+        strict: What is hardly plausible is an error, not a note.
         force: Overwrite OUT if it exists.
     """
-    from jaxcap.maps.kernel import write_map
+    from jaxcap.maps.kernel import notes_of, write_map
 
     if sides < 3:
         raise InputError(f"--sides {sides} (expected at least 3)")
     stance = _contacts(contacts)
     given = named_values("--axis", axis, "NAME=VALUES, for example com_x=-0.4:0.4:201")
     axes = with_sets(stance, axes_around(given_sets(stance).values(), given))
-    points = grid(axes)
+    points = grid_of(axes)
+    notes = notes_of(list(given_sets(stance).values()), points)
+    if strict and notes:
+        raise InputError(f"--strict: {'; '.join(notes)}")
     start = time.perf_counter()
     try:
         with jax.enable_x64(dtype == "float64"), compilation_cache(cache):
-            options = {"sides": sides, "dtype": dtype, "force": force, "progress": True}
+            options: dict[str, Any] = {"sides": sides, "dtype": dtype, "force": force, "progress": True}
             computed = write_map(output, stance, axes, quantity or None, **options)
     except (KeyboardInterrupt, SystemExit):
         if output.suffix.lower() == ".zarr":
             print(f"note: the same command goes on where this one ended ({output}.partial)", file=sys.stderr)
         raise
     seconds = time.perf_counter() - start
-    if coarse := rounding(np.array([[np.abs(points.axes[name]).max() for name in POSITION]], dtype)):
-        print(f"note: {output}: {coarse}", file=sys.stderr)
+    for note in notes:
+        print(f"note: {output}: {note}", file=sys.stderr)
     extent = " x ".join(f"{name} {size}" for name, size in zip(points.dims, points.shape, strict=True)) or "one point"
     before = f"; {points.size - computed} were there" if computed < points.size else ""
     rate = f"{computed / seconds:.3g} states/s ({seconds:.2f} s with compiling; {dtype}, {jax.default_backend()})"
@@ -130,4 +141,5 @@ def map_kernel(
 def _contacts(path: Path) -> Contacts:
     """The contact sets of a file, with their names if all have one."""
     sets, names = read_contact_sets(path)
-    return dict(zip(names, sets, strict=True)) if all(names) else sets
+    named = {name: contacts for name, contacts in zip(names, sets, strict=True) if name}
+    return named if len(named) == len(sets) else sets

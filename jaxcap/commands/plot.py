@@ -3,6 +3,7 @@
 import math
 import sys
 import tempfile
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -138,7 +139,7 @@ def _opened(path: Path) -> Any:
     return dataset
 
 
-def _contact_sets(path: Path, attributes) -> tuple[ContactSet, ...]:
+def _contact_sets(path: Path, attributes: Mapping[str, Any]) -> tuple[ContactSet, ...]:
     """The contact sets of the map, as far as it tells them."""
     if "contacts" not in attributes:
         return ()

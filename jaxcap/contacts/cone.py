@@ -1,22 +1,19 @@
 """The centroidal cone of a contact set: by its faces, or by its rays."""
 
-from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Bool, Float
 
 from jaxcap.contacts.contact_set import ContactSet
-from jaxcap.contacts.conventions import FloatArray
+from jaxcap.contacts.conventions import SAME_PLACE, SAME_PLACE_ERRORS, FloatArray
 from jaxcap.contacts.friction import wrench_rays
 from jaxcap.contacts.projection import ProjectionError, cone_faces
 
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True, eq=False)
-class CentroidalCone:
+class CentroidalCone(NamedTuple):
     """All wrenches that the contacts can exert: faces @ (force, torque about `origin`) <= 0, (6).
 
     A row is a face, an equality a pair of opposite rows; rows of zeros are padding. Rows are scaled such that
@@ -28,21 +25,30 @@ class CentroidalCone:
     origin: Float[FloatArray, "*batch 3"]
     """Centroid of the contact points [m]: a robot far from the world's origin is scored like one near it."""
     length: Float[FloatArray, "*batch"]
-    """Distance of the farthest contact point from the origin [m], or 1 for a single point: the scale of rounding errors."""
+    """Distance of the farthest contact point from the origin [m], or 1 for a single place: the scale of rounding errors."""
 
     def padded(self, rows: int) -> "CentroidalCone":
         """The same cone with at least this many rows: those added bound nothing."""
         extra = max(0, rows - len(self.faces))
-        xp = self.faces.__array_namespace__()
+        xp: Any = self.faces.__array_namespace__()
         return CentroidalCone(xp.pad(self.faces, ((0, extra), (0, 0))), self.origin, self.length) if extra else self
 
 
 def centroidal_cone(contacts: ContactSet, sides: int = 4) -> CentroidalCone:
     """Project the contacts' friction pyramids to the faces of the centroidal cone (6); host only, once a contact set.
 
-    contacts: at least one that is not masked. sides: edges of each friction pyramid, >= 3. The faces hold for any mass.
-    Raises ValueError for an empty set, sides < 3 or contacts under a JAX transformation (`cone_rays` takes those), and
-    ProjectionError, a ValueError, where the faces found do not pass their check against the rays.
+    Args:
+        contacts: one set, with at least one contact that is not masked.
+        sides: edges of each friction pyramid, >= 3.
+
+    Returns:
+        The faces, in double precision. They hold for any mass.
+
+    Raises:
+        ValueError: for an empty set, sides < 3 or contacts under a JAX transformation (`cone_rays` takes those).
+        ProjectionError: a ValueError, where the faces found do not pass their check against the rays.
+
+    Source: Caron, Pham, Nakamura, Leveraging Cone Double Description for Multi-contact Stability, RSS 2015.
     """
     if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(contacts)):
         raise ValueError("centroidal_cone works on the host, once for each contact set: call it outside jit, vmap and grad")
@@ -50,13 +56,15 @@ def centroidal_cone(contacts: ContactSet, sides: int = 4) -> CentroidalCone:
     if len(active) == 0:
         raise ValueError(f"contacts: none of {len(contacts)} is active (expected at least one)")
     origin = active.points.mean(axis=0)
-    length = np.linalg.norm(active.points - origin, axis=1).max() or 1.0
+    length = np.linalg.norm(active.points - origin, axis=1).max()
+    length = length if length > _same_place(active) else 1.0
     scale = np.array([1, 1, 1, length, length, length])
-    rays = wrench_rays(active, sides, origin) / scale
+    rays = np.asarray(wrench_rays(active, sides, origin)) / scale
     try:
         faces = cone_faces(rays)
     except ProjectionError as error:
         raise ProjectionError(f"faces of {len(active)} contacts with {sides} sides: {error}") from error
+    # An order that rounding does not change: not that of the contacts, nor Qhull's.
     order = np.lexsort(np.round(faces, 9).T)
     return CentroidalCone(faces=faces[order] / scale, origin=origin, length=np.asarray(length))
 
@@ -67,30 +75,71 @@ class ConeRays(NamedTuple):
     One contact set, or a batch of them with equally many rows.
     """
 
-    rays: Float[Array, "*batch r 6"]
+    rays: Float[FloatArray, "*batch r 6"]
     """[-] for force, of unit length, [m] for torque; rays of masked contacts are zero."""
-    mask: Bool[Array, "*batch r"]
+    mask: Bool[FloatArray, "*batch r"]
     """False for the rays of masked contacts."""
-    origin: Float[Array, "*batch 3"]
+    origin: Float[FloatArray, "*batch 3"]
     """Centroid of the contact points [m]: a robot far from the world's origin is scored like one near it."""
-    length: Float[Array, "*batch"]
-    """Distance of the farthest contact point from the origin [m], or 1 where there is none."""
+    length: Float[FloatArray, "*batch"]
+    """Distance of the farthest contact point from the origin [m], or 1 where all are at one place."""
+
+    @property
+    def batched(self) -> bool:
+        """Whether these are the rays of a batch of contact sets, not of one."""
+        return self.rays.ndim == 3
 
 
 def cone_rays(contacts: ContactSet, sides: int = 4) -> ConeRays:
     """The rays of the contacts' friction pyramids: the centroidal cone without its faces, at no cost.
 
-    contacts: one set, or a batch of sets of equally many rows (see `ContactSet.padded`), each of which may be masked in
-    part or altogether. sides: edges of each friction pyramid, >= 3. Pure: works under jit, vmap, and is differentiable in
-    points, frames and friction. Raises ValueError if sides < 3.
+    Pure: works under jit and vmap, and is differentiable in points, frames and friction.
+
+    Args:
+        contacts: one set, or a batch of sets of equally many rows (see `ContactSet.padded`), each of which may be masked in
+            part or altogether.
+        sides: edges of each friction pyramid, >= 3.
+
+    Returns:
+        The rays, with a leading axis for a batch.
+
+    Raises:
+        ValueError: if sides < 3.
     """
-    contacts = jax.tree.map(jnp.asarray, contacts)
-    mask = contacts.mask[..., None]
-    count = jnp.maximum(jnp.sum(mask, axis=-2), 1)
+    local, origin = centred(contacts)
+    local = jax.tree.map(jnp.asarray, local)
     # Where torques are taken about changes nothing, nor does their scale: no gradient.
-    points = jax.lax.stop_gradient(contacts.points)
-    origin = jnp.sum(jnp.where(mask, points, 0), axis=-2) / count
-    square = jnp.max(jnp.sum(jnp.where(mask, points - origin[..., None, :], 0) ** 2, axis=-1), axis=-1, initial=0)
-    length = jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1)), 1)
-    mask = jnp.repeat(contacts.mask, sides, axis=-1)
-    return ConeRays(rays=wrench_rays(contacts, sides, origin), mask=mask, origin=origin, length=length)
+    points = jax.lax.stop_gradient(local.points)
+    square = jnp.max(jnp.sum(jnp.where(local.mask[..., None], points, 0) ** 2, axis=-1), axis=-1, initial=0)
+    apart = square > _same_place(contacts) ** 2
+    length = jnp.where(apart, jnp.sqrt(jnp.where(apart, square, 1)), 1)
+    mask = jnp.repeat(local.mask, sides, axis=-1)
+    rays = wrench_rays(local, sides, jnp.zeros_like(points[..., 0, :]))
+    return ConeRays(rays=rays, mask=mask, origin=origin, length=length)
+
+
+def centred(contacts: ContactSet) -> tuple[ContactSet, FloatArray]:
+    """The same contacts about their centroid, that of those which are not masked, and the centroid.
+
+    NumPy's arrays stay such, in double precision: far from the world's origin JAX's single precision would round contacts to
+    centimetres and more before anything is subtracted.
+
+    Args:
+        contacts: one set, or a batch of them.
+
+    Returns:
+        Contacts with the centroid at the origin, and where that was, (..., 3) [m].
+    """
+    points = contacts.points if isinstance(contacts.points, np.ndarray) else jax.lax.stop_gradient(contacts.points)
+    xp: Any = np if isinstance(points, np.ndarray) else jnp
+    mask = contacts.mask[..., None]
+    origin = xp.sum(xp.where(mask, points, 0), axis=-2) / xp.maximum(xp.sum(mask, axis=-2), 1)
+    local = contacts.points - origin[..., None, :]
+    return ContactSet.unchecked(local, contacts.frames, contacts.friction, contacts.mask), origin
+
+
+def _same_place(contacts: ContactSet) -> Any:
+    """Contacts within this of their centroid [m] are at one place."""
+    xp: Any = contacts.points.__array_namespace__()
+    largest = xp.max(xp.abs(xp.where(contacts.mask[..., None], contacts.points, 0)), axis=(-1, -2), initial=0)
+    return xp.maximum(SAME_PLACE, SAME_PLACE_ERRORS * float(jnp.finfo(contacts.points.dtype).eps) * largest)

@@ -6,6 +6,7 @@ import pyarrow.compute as pc
 from jaxtyping import Float
 
 from jaxcap.errors import InputError
+from jaxcap.files.bad_rows import BadRows
 
 
 def is_list(kind: pa.DataType) -> bool:
@@ -18,17 +19,28 @@ def is_number(kind: pa.DataType) -> bool:
     return pa.types.is_floating(kind) or pa.types.is_integer(kind)
 
 
-def vectors(column: pa.Array, dtype: np.dtype, where: str, first_row: int) -> Float[np.ndarray, "n 3"]:
-    """A column of lists of three numbers. Nulls become NaN. Raises InputError for a list of another length."""
-    if not pa.types.is_fixed_size_list(column.type):
-        lengths = pc.list_value_length(column)
-        wrong = pc.fill_null(pc.not_equal(lengths, 3), False).to_numpy(zero_copy_only=False)
-        if wrong.any():
-            row = int(np.argmax(wrong))
-            raise InputError(f"{where}, row {first_row + row}: {lengths[row]} numbers (expected 3)")
-    if column.null_count:
-        return np.stack([numbers(pc.list_element(column, i), dtype) for i in range(3)], axis=1)
-    return numbers(column.flatten(), dtype).reshape(-1, 3)
+def is_ragged(kind: pa.DataType) -> bool:
+    """Whether each entry of such a column is a list, of any length."""
+    return is_list(kind) and not pa.types.is_fixed_size_list(kind)
+
+
+def vector_type(kind: pa.DataType) -> np.dtype:
+    """The NumPy type of numbers in such lists: integers become floats, for nulls are NaN."""
+    return np.dtype(kind.value_type.to_pandas_dtype() if pa.types.is_floating(kind.value_type) else np.float64)
+
+
+def vectors(column: pa.Array, dtype: np.dtype, bad: BadRows | None = None, name: str = "") -> Float[np.ndarray, "n 3"]:
+    """A column of lists of three numbers. Nulls, and lists of another length, become NaN; `bad` is told of them."""
+    lengths = pc.fill_null(pc.list_value_length(column), 0).to_numpy(zero_copy_only=False)
+    if bad is not None:
+        bad.add(column.is_null().to_numpy(zero_copy_only=False), lambda row: f"{name} is null (expected 3 numbers)")
+        bad.add(lengths != 3, lambda row: f"{name} has {lengths[row]} numbers (expected 3)")
+    if (lengths == 3).all() and not column.null_count:
+        return numbers(column.flatten(), dtype).reshape(-1, 3)
+    out = np.full((len(column), 3), np.nan, dtype)
+    whole = pa.array((lengths == 3) & column.is_valid().to_numpy(zero_copy_only=False))
+    out[whole.to_numpy(zero_copy_only=False)] = numbers(column.filter(whole).flatten(), dtype).reshape(-1, 3)
+    return out
 
 
 def numbers(column: pa.Array, dtype: np.dtype) -> Float[np.ndarray, " n"]:

@@ -10,21 +10,21 @@ from jaxtyping import Bool, Float, Int
 
 from jaxcap.errors import InputError
 from jaxcap.files.arrow_columns import is_list, is_number, numbers
+from jaxcap.files.bad_rows import BadRows
 from jaxcap.files.contact_columns import (
     INNER,
     MASK,
     MOST,
-    BadRows,
     Padded,
     RowChoices,
     RowContacts,
-    count,
-    expected,
+    content_of,
     row_contacts,
+    size_by_shape,
 )
 
 
-def checked_count(where: str, name: str, kind: pa.DataType) -> int | None:
+def size_by_type(where: str, name: str, kind: pa.DataType) -> int | None:
     """Number of contacts by the type of a column, None if each row says it. Raises InputError for a wrong type."""
     row, inner = [], kind
     while is_list(inner):
@@ -32,8 +32,8 @@ def checked_count(where: str, name: str, kind: pa.DataType) -> int | None:
         inner = inner.value_type
     empty = row and pa.types.is_null(inner)  # no row has a contact
     if not (empty or (pa.types.is_boolean(inner) if name == MASK else is_number(inner))):
-        raise InputError(f"{where} has type {kind} (expected {expected(name)})")
-    return count(where, name, row)
+        raise InputError(f"{where} has type {kind} (expected {content_of(name)})")
+    return size_by_shape(where, name, row)
 
 
 def check_choice(where: str, kind: pa.DataType) -> None:
@@ -55,7 +55,7 @@ def choices(column: pa.Array) -> RowChoices:
 
 
 def contacts(columns: Mapping[str, pa.Array], dtype: np.dtype) -> RowContacts:
-    """Contacts for each row, from columns that passed `checked_count`. dtype: float32 or float64, of the result."""
+    """Contacts for each row, from columns that passed `size_by_type`. dtype: float32 or float64, of the result."""
     bad = BadRows(len(next(iter(columns.values()))))
     return row_contacts({name: _padded(column, name, bad) for name, column in columns.items()}, dtype, bad)
 
@@ -65,7 +65,7 @@ def _padded(column: pa.Array, name: str, bad: BadRows) -> Padded:
     if not is_list(column.type):
         return Padded(numbers(column, np.dtype(np.float64)), np.zeros(len(column), dtype=int))
     missing = column.is_null().to_numpy(zero_copy_only=False)
-    bad.add(missing, lambda row: f"{name} is null (expected {expected(name)})")
+    bad.add(missing, lambda row: f"{name} is null (expected {content_of(name)})")
     nested = is_list(column.type.value_type)
     size = 1 if nested else math.prod(INNER[name])
     lengths, entries = _lengths(column), column.flatten()
@@ -75,9 +75,10 @@ def _padded(column: pa.Array, name: str, bad: BadRows) -> Padded:
     values, wrong = _filled(entries, INNER[name] if nested else ())
     rows = np.repeat(np.arange(len(column)), lengths)
     uneven = np.bincount(rows[wrong], minlength=len(column)) > 0
-    bad.add(uneven, lambda row: (
-        f"{name}[{np.argmax(wrong[rows == row])}] does not hold {' x '.join(map(str, INNER[name]))} numbers"
-    ))
+    bad.add(
+        uneven,
+        lambda row: f"{name}[{np.argmax(wrong[rows == row])}] does not hold {' x '.join(map(str, INNER[name]))} numbers",
+    )
     lengths_used = np.where(long, 0, lengths)
     width = -(-int(lengths_used.max(initial=0)) // size) * size
     values = _scattered(values, lengths, width)

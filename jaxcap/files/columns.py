@@ -2,13 +2,16 @@
 
 import json
 from collections.abc import Iterable, Mapping
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
+from numpy.typing import DTypeLike
 
 from jaxcap.contacts.contact_set import ContactSet
 from jaxcap.errors import InputError
+from jaxcap.files.bad_rows import BadRows
 from jaxcap.files.contact_columns import POINTS, RowChoices, RowContacts
 from jaxcap.files.contact_files import ContactSets
 from jaxcap.files.fields import FIELDS, NAMES, Field
@@ -27,6 +30,8 @@ class StateBatch(NamedTuple):
     """CoM velocities [m/s]."""
     columns: Mapping[str, Any]
     """Every column as it was read, the two above included: NumPy arrays, or Arrow arrays where the file is Parquet."""
+    bad: BadRows
+    """Rows whose CoM or velocity is not there, or not finite."""
     contacts: RowContacts | RowChoices | None = None
     """What the columns say about the contacts of each row, if there are such columns."""
 
@@ -36,13 +41,25 @@ METADATA = "metadata"
 
 
 def describe(
-    contacts: ContactSet | ContactSets | tuple[str, ...], gravity: Iterable[float], sides: int, dtype: np.dtype,
-    fields: Mapping[str, Field] = FIELDS, **more: Any,
+    contacts: ContactSet | ContactSets | tuple[str, ...],
+    gravity: Iterable[float],
+    sides: int,
+    dtype: DTypeLike,
+    fields: Mapping[str, Field] = FIELDS,
+    **more: Any,
 ) -> dict[str, Any]:
     """What the output file says about itself: conventions, units, names of codes, what it was computed from.
 
-    contacts: the set of all states, the sets that a column chooses from, or the names of the columns that hold them. fields:
-    the columns that are added. more: what else there is to say.
+    Args:
+        contacts: The set of all states, the sets that a column chooses from, or the names of the columns that hold them.
+        gravity: (3,) [m/s^2].
+        sides: Edges of the friction pyramids.
+        dtype: Of the computation.
+        fields: The columns that are added.
+        **more: What else there is to say.
+
+    Returns:
+        What `to_json` makes text of.
     """
     own = {} if isinstance(contacts, ContactSet | ContactSets) else {POINTS: "m"}
     return {
@@ -73,7 +90,7 @@ def to_json(metadata: Mapping[str, Any]) -> str:
     return json.dumps(metadata, allow_nan=False)
 
 
-def spelling(path, vector: str, names: Iterable[str]) -> tuple[str, ...]:
+def spelling(path: str | Path, vector: str, names: Iterable[str]) -> tuple[str, ...]:
     """The columns that hold `vector`: (com,) or (com_x, com_y, com_z). Raises InputError if none do, or both."""
     names = list(names)
     parts = tuple(f"{vector}_{axis}" for axis in "xyz")
@@ -91,7 +108,7 @@ def spelling(path, vector: str, names: Iterable[str]) -> tuple[str, ...]:
     raise InputError(f"{path}: no column {vector!r} and no {', '.join(parts)} (columns: {listed})")
 
 
-def refuse_clashes(path, names: Iterable[str], reserved: Iterable[str] = tuple(FIELDS)) -> None:
+def refuse_clashes(path: str | Path, names: Iterable[str], reserved: Iterable[str] = tuple(FIELDS)) -> None:
     """Raises InputError if a column of the file has the name of one that will be written."""
     reserved = set(reserved)
     for name in names:

@@ -2,13 +2,17 @@
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import NamedTuple
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Shaped
 
 from jaxcap.contacts.conventions import ROTATION_ERROR
 from jaxcap.errors import InputError
+from jaxcap.files.bad_rows import BadRows
+from jaxcap.numerics.whole import round_up
 
 OWN = POINTS, FRAMES, FRICTION, MASK = ("contact_points", "contact_frames", "contact_friction", "contact_mask")
 """The columns that give each row its own contacts; only the mask may be absent."""
@@ -24,24 +28,6 @@ MULTIPLE = 4
 
 MOST = 64
 """Most contacts of a row: one long list pads all rows of its batch, and memory shall stay bounded."""
-
-
-class BadRows:
-    """Which rows of a batch have contacts that cannot be used, and why the first of them."""
-
-    def __init__(self, n: int):
-        self.rows = np.zeros(n, dtype=bool)
-        self.first: int | None = None
-        self.why = ""
-
-    def add(self, wrong: Bool[np.ndarray, " n"], why: Callable[[int], str]) -> None:
-        """Adds rows. why: the reason for one of them; only that of the first is asked for. Rows added before stay."""
-        new = wrong & ~self.rows
-        if new.any():
-            row = int(np.argmax(new))
-            if self.first is None or row < self.first:
-                self.first, self.why = row, why(row)
-            self.rows |= new
 
 
 class Padded(NamedTuple):
@@ -72,12 +58,13 @@ class RowContacts(NamedTuple):
         n, k = self.mask.shape
         if size == k:
             return self
-        added = lambda values, value: np.broadcast_to(value, (n, size - k, *values.shape[2:]))
-        fill = lambda values, value: np.concatenate([values, added(values, value)], axis=1)
+
+        def fill(values: np.ndarray, value: Any) -> np.ndarray:
+            added = np.broadcast_to(np.asarray(value, values.dtype), (n, size - k, *values.shape[2:]))
+            return np.concatenate([values, added], axis=1)
+
         points, frames, friction, mask, bad = self
-        one = np.ones((), points.dtype)
-        return RowContacts(fill(points, 0 * one), fill(frames, np.eye(3, dtype=points.dtype)), fill(friction, one),
-                           fill(mask, False), bad)
+        return RowContacts(fill(points, 0), fill(frames, np.eye(3)), fill(friction, 1), fill(mask, False), bad)
 
 
 class RowChoices(NamedTuple):
@@ -90,8 +77,13 @@ class RowChoices(NamedTuple):
     missing: Bool[np.ndarray, " n"]
     """Rows without a value."""
 
+    def shown(self, row: int) -> str:
+        """What the column says in a row, for messages."""
+        number = self.numbers[row]
+        return str(number) if self.names is None else repr(self.names[number])
 
-def contact_columns(path, names: Iterable[str]) -> tuple[str, ...]:
+
+def contact_columns(path: str | Path, names: Iterable[str]) -> tuple[str, ...]:
     """The columns that speak of contacts: those of OWN, or CHOICE, or none. Raises InputError for both, or for a part."""
     names = set(names)
     own = tuple(name for name in OWN if name in names)
@@ -103,7 +95,7 @@ def contact_columns(path, names: Iterable[str]) -> tuple[str, ...]:
     return own or ((CHOICE,) if CHOICE in names else ())
 
 
-def expected(name: str) -> str:
+def content_of(name: str) -> str:
     """What a column holds in each row, in words."""
     if name == MASK:
         return "a list of k booleans"
@@ -112,7 +104,7 @@ def expected(name: str) -> str:
     return f"{' x '.join(map(str, ('k', *INNER[name])))} or {math.prod(INNER[name])} k numbers"
 
 
-def count(where: str, name: str, row: Sequence[int | None]) -> int | None:
+def size_by_shape(where: str, name: str, row: Sequence[int | None]) -> int | None:
     """Number of contacts by the shape of a row, None if the rows say it (or there is one friction for all).
 
     row: sizes of the axes, None for one that differs from row to row. Raises InputError if the column cannot be this one.
@@ -122,7 +114,7 @@ def count(where: str, name: str, row: Sequence[int | None]) -> int | None:
     flat = len(row) == 1 and (row[0] is None or row[0] % size == 0)
     if not (nested or flat or (name == FRICTION and len(row) == 0)):
         shape = ", ".join("any" if n is None else str(n) for n in row)
-        raise InputError(f"{where} has rows of shape ({shape}) (expected {expected(name)})")
+        raise InputError(f"{where} has rows of shape ({shape}) (expected {content_of(name)})")
     if not row or row[0] is None:
         return None
     k = row[0] if nested else row[0] // size
@@ -131,7 +123,7 @@ def count(where: str, name: str, row: Sequence[int | None]) -> int | None:
     return k
 
 
-def agree(path, counts: Mapping[str, int | None]) -> None:
+def agree(path: str | Path, counts: Mapping[str, int | None]) -> None:
     """Raises InputError if two columns are made for different numbers of contacts."""
     known = {name: k for name, k in counts.items() if k is not None}
     for name, k in known.items():
@@ -152,10 +144,14 @@ def chosen(column: Shaped[np.ndarray, " n"]) -> RowChoices:
 def from_arrays(columns: Mapping[str, np.ndarray], dtype: np.dtype) -> RowContacts:
     """Contacts for each row, from arrays.
 
-    columns: contact_points (n, k, 3) [m], contact_frames (n, k, 3, 3), contact_friction (n, k) or (n,), and perhaps
-    contact_mask (n, k) bool, False for padding; without it, points of three NaN are padding. The axes of a row may be
-    joined into one. dtype: float32 or float64, of the result. The shapes are those that `count` accepts; rows whose
-    values cannot be used are named in the result.
+    Args:
+        columns: contact_points (n, k, 3) [m], contact_frames (n, k, 3, 3), contact_friction (n, k) or (n,), and perhaps
+            contact_mask (n, k) bool, False for padding; without it, points of three NaN are padding. The axes of a row
+            may be joined into one: the shapes are those that `size_by_shape` accepts.
+        dtype: float32 or float64, of the result.
+
+    Returns:
+        The contacts; rows whose values cannot be used are named in it.
     """
     n = len(columns[POINTS])
     padded = {}
@@ -169,17 +165,17 @@ def from_arrays(columns: Mapping[str, np.ndarray], dtype: np.dtype) -> RowContac
 def row_contacts(columns: Mapping[str, Padded], dtype: np.dtype, bad: BadRows) -> RowContacts:
     """Contacts for each row, from columns in float64 that may disagree on how many there are.
 
-    columns: by name, as in `from_arrays`; a friction for all contacts of a row has the shape (n,). dtype: float32 or
-    float64, of the result. bad: rows that were found unusable when reading; more are added here.
+    Args:
+        columns: By name, as in `from_arrays`; a friction for all contacts of a row has the shape (n,).
+        dtype: float32 or float64, of the result.
+        bad: Rows that were found unusable when reading; more are added here.
     """
     counts = columns[POINTS].counts
     for name, column in columns.items():
         if name != POINTS and column.values.ndim > 1:
-            bad.add(column.counts != counts, lambda row, name=name, found=column.counts: (
-                f"{name} has {found[row]} contacts (expected {counts[row]}, as {POINTS} has)"
-            ))
+            bad.add(np.not_equal(column.counts, counts), partial(_disagree, name, column.counts, counts))
     counts = np.where(bad.rows, 0, counts)
-    k = -(-int(counts.max(initial=1)) // MULTIPLE) * MULTIPLE
+    k = round_up(int(counts.max(initial=1)), MULTIPLE)
     with np.errstate(over="ignore"):  # too large for float32: infinite, hence unusable
         points, friction = (_sized(columns[name].values, k).astype(dtype) for name in (POINTS, FRICTION))
     frames = _sized(columns[FRAMES].values, k)
@@ -193,11 +189,16 @@ def row_contacts(columns: Mapping[str, Padded], dtype: np.dtype, bad: BadRows) -
         mask &= ~np.isnan(points).all(axis=-1)
     _check_values(points, frames, friction, mask, bad)
     mask &= ~bad.rows[:, None]
-    neutral = lambda values, value: np.where(mask.reshape(*mask.shape, *(1,) * (values.ndim - 2)), values, value)
-    return RowContacts(
-        neutral(points, dtype.type(0)), neutral(frames.astype(dtype), np.eye(3, dtype=dtype)),
-        neutral(friction, dtype.type(1)), mask, bad,
-    )
+
+    def neutral(values: np.ndarray, value: Any) -> np.ndarray:
+        used = mask.reshape(*mask.shape, *(1,) * (values.ndim - 2))
+        return np.where(used, values.astype(dtype, copy=False), np.asarray(value, dtype))
+
+    return RowContacts(neutral(points, 0), neutral(frames, np.eye(3)), neutral(friction, 1), mask, bad)
+
+
+def _disagree(name: str, found: Shaped[np.ndarray, " n"], wanted: Shaped[np.ndarray, " n"], row: int) -> str:
+    return f"{name} has {found[row]} contacts (expected {wanted[row]}, as {POINTS} has)"
 
 
 def _sized(values: np.ndarray, k: int) -> np.ndarray:
@@ -208,25 +209,40 @@ def _sized(values: np.ndarray, k: int) -> np.ndarray:
     return np.pad(values, ((0, 0), (0, k - values.shape[1]), *[(0, 0)] * (values.ndim - 2)))
 
 
-def _check_values(points, frames, friction, mask, bad: BadRows) -> None:
-    """Adds the rows in which a contact that is not masked cannot be used."""
+def _check_values(
+    points: Float[np.ndarray, "n k 3"],
+    frames: Float[np.ndarray, "n k 3 3"],
+    friction: Float[np.ndarray, "n k"],
+    mask: Bool[np.ndarray, "n k"],
+    bad: BadRows,
+) -> None:
+    """Adds the rows in which a contact that is not masked cannot be used.
 
-    def add(wrong, why):
-        wrong &= mask
+    These are the contacts that `ContactSet` raises for, and a test holds the two against each other; but here one bad row
+    must not cost the others, so what is wrong is an array, and the first such row is put into words.
+    """
+
+    def add(wrong: Any, why: Callable[[int, int], str]) -> None:
+        wrong = wrong & mask
         bad.add(wrong.any(axis=1), lambda row: why(row, int(np.argmax(wrong[row]))))
 
-    add(~np.isfinite(points).all(axis=-1), lambda row, i: (
-        f"{POINTS}[{i}] = {points[row, i].tolist()} (expected finite numbers)"
-    ))
+    add(
+        ~np.isfinite(points).all(axis=-1),
+        lambda row, i: f"{POINTS}[{i}] = {points[row, i].tolist()} (expected finite numbers)",
+    )
     error, determinant = np.zeros(mask.shape), np.ones(mask.shape)
     error[mask], determinant[mask] = _rotation_error(frames[mask])
-    add(~(error <= ROTATION_ERROR) | ~(determinant > 0), lambda row, i: (
-        f"{FRAMES}[{i}] is not a rotation: det = {determinant[row, i]:.3f} (expected +1), "
-        f"columns orthonormal to {error[row, i]:.1e} (expected {ROTATION_ERROR:.0e})"
-    ))
-    add(~(np.isfinite(friction) & (friction > 0)), lambda row, i: (
-        f"{FRICTION}[{i}] = {friction[row, i]} (expected a positive finite number)"
-    ))
+    add(
+        np.logical_not((error <= ROTATION_ERROR) & (determinant > 0)),
+        lambda row, i: (
+            f"{FRAMES}[{i}] is not a rotation: det = {determinant[row, i]:.3f} (expected +1), "
+            f"columns orthonormal to {error[row, i]:.1e} (expected {ROTATION_ERROR:.0e})"
+        ),
+    )
+    add(
+        np.logical_not(np.isfinite(friction) & (friction > 0)),
+        lambda row, i: f"{FRICTION}[{i}] = {friction[row, i]} (expected a positive finite number)",
+    )
 
 
 def _rotation_error(frames: Float[np.ndarray, "m 3 3"]) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, " m"]]:

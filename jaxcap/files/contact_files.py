@@ -62,7 +62,7 @@ def read_contact_sets(path: str | Path) -> ContactSets:
     if not isinstance(document, dict) or list(document) not in (["contacts"], ["sets"]):
         found = f"keys {', '.join(map(repr, document)) or 'none'}" if isinstance(document, dict) else _shown(document)
         raise InputError(f"{path}: {found} (expected a mapping with the one key 'contacts' or 'sets')")
-    (key, entries), = document.items()
+    ((key, entries),) = document.items()
     if not isinstance(entries, list) or not entries:
         raise InputError(f"{path}: {key}: {_shown(entries)} (expected a list of at least one entry)")
     if key == "contacts":

@@ -3,17 +3,17 @@
 import math
 import tempfile
 import zipfile
-import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Generator, Iterator, Mapping
 from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple
+from typing import IO, Any, BinaryIO, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 from numpy.lib import format as npy
 
 from jaxcap.errors import InputError
+from jaxcap.files.bad_rows import BadRows
 from jaxcap.files.columns import METADATA, VECTORS, StateBatch, refuse_clashes, spelling, to_json
 from jaxcap.files.contact_columns import (
     CHOICE,
@@ -23,8 +23,8 @@ from jaxcap.files.contact_columns import (
     agree,
     chosen,
     contact_columns,
-    count,
     from_arrays,
+    size_by_shape,
 )
 from jaxcap.files.state_file import StateFile
 
@@ -56,7 +56,7 @@ class Member(NamedTuple):
 class NpzStates(StateFile):
     """An open NPZ file of states."""
 
-    def _opened(self):
+    def _opened(self) -> zipfile.ZipFile:
         with _readable(self.path):
             return zipfile.ZipFile(self.path)
 
@@ -64,7 +64,8 @@ class NpzStates(StateFile):
         with _readable(self.path):
             members = {
                 name.removesuffix(".npy"): _header(self._file, name)
-                for name in self._file.namelist() if name.endswith(".npy")
+                for name in self._file.namelist()
+                if name.endswith(".npy")
             }
         for member in members.values():
             if member.dtype.hasobject:
@@ -106,7 +107,7 @@ class NpzStates(StateFile):
             if not member.shape or (name == CHOICE and member.row):
                 raise InputError(f"{where} has shape {member.shape} (expected {'(n,)' if name == CHOICE else 'n rows'})")
             if name != CHOICE:
-                counts[name] = count(where, name, member.row)
+                counts[name] = size_by_shape(where, name, member.row)
         agree(self.path, counts)
         self._empty = {name: members[name] for name in self.contacts if not members[name].width}
 
@@ -115,8 +116,11 @@ class NpzStates(StateFile):
             streams = [stack.enter_context(closing(self._stream(m))) for m in self._members.values()]
             for pieces in zip(*streams, strict=True):
                 columns = dict(zip(self._members, pieces, strict=True))
-                vectors = (self._vector(columns, names) for names in self._vectors.values())
-                yield StateBatch(*vectors, columns, self._row_contacts(columns))
+                bad = BadRows(len(pieces[0]))
+                com, com_velocity = (self._vector(columns, names) for names in self._vectors.values())
+                for names, vectors in zip(self._vectors.values(), (com, com_velocity), strict=True):
+                    bad.add_not_finite(names, vectors)
+                yield StateBatch(com, com_velocity, columns, bad, self._row_contacts(columns))
 
     def _row_contacts(self, columns: Mapping[str, np.ndarray]) -> RowContacts | RowChoices | None:
         if not self.contacts:
@@ -125,14 +129,14 @@ class NpzStates(StateFile):
         if self.contacts == (CHOICE,):
             return chosen(columns[CHOICE])
         empty = {name: np.empty((n, *member.row), member.dtype) for name, member in self._empty.items()}
-        return from_arrays({name: (columns | empty)[name] for name in self.contacts}, self.dtype)
+        return from_arrays({name: columns[name] if name in columns else empty[name] for name in self.contacts}, self.dtype)
 
     def _vector(self, columns: Mapping[str, np.ndarray], names: tuple[str, ...]) -> Float[np.ndarray, "n 3"]:
         with np.errstate(over="ignore"):  # too large for float32: infinite, hence status nonfinite
             parts = [columns[name].astype(self.dtype) for name in names]
         return parts[0] if len(parts) == 1 else np.stack(parts, axis=1)
 
-    def _stream(self, member: Member) -> Iterator[np.ndarray]:
+    def _stream(self, member: Member) -> Generator[np.ndarray, None, None]:
         """Rows of one array, `batch_size` at a time. An array in Fortran order is read at several places at once."""
         places = math.prod(member.row) if member.fortran else 1
         width = member.width // places
@@ -153,8 +157,14 @@ class NpzStates(StateFile):
 class NpzWriter:
     """Writes an NPZ file row by row. An NPZ holds column after column, so each column waits in an unnamed file.
 
-    handle: the file, empty. directory: place for the unnamed files. types: NumPy type, or Arrow field, of each column.
-    Raises InputError, here or in `write`, if a column does not fit into an NPZ.
+    Args:
+        handle: The file, empty.
+        directory: Place for the unnamed files.
+        types: NumPy type, or Arrow field, of each column.
+        metadata: See `columns.describe`.
+
+    Raises:
+        InputError: Here or in `write`, if a column does not fit into an NPZ.
     """
 
     def __init__(self, handle: BinaryIO, directory: Path, types: Mapping[str, Any], metadata: Mapping[str, Any]):
@@ -172,11 +182,7 @@ class NpzWriter:
         """Appends rows. columns: one array for each of `types`, all with the same number of rows."""
         for name, spool in self._spools.items():
             column = columns[name]
-            if not isinstance(column, np.ndarray):
-                from jaxcap.files.arrow_columns import to_numpy
-
-                column = to_numpy(column, f"column {name!r}")
-            spool.append(column)
+            spool.append(column if isinstance(column, np.ndarray) else _to_numpy(name, column))
 
     def finish(self) -> None:
         """Assembles the archive. The caller flushes and closes the handle."""
@@ -196,20 +202,20 @@ class NpzWriter:
 class Spool:
     """One column on its way into the archive: raw rows in a file, and how wide they are."""
 
-    def __init__(self, file: BinaryIO, kind: np.dtype):
+    def __init__(self, file: IO[bytes], kind: np.dtype):
         self.file = file
         self._dtype, self._row = kind.base, kind.shape
         self._runs: list[tuple[int, np.dtype]] = []  # rows, dtype: strings may get longer from batch to batch
 
     def append(self, rows: np.ndarray) -> None:
         """Adds rows at the end."""
-        self.file.write(np.ascontiguousarray(rows).reshape(-1).view(np.uint8))
+        self.file.write(np.ascontiguousarray(rows).reshape(-1).view(np.uint8).data)
         if self._runs and self._runs[-1][1] == rows.dtype:
             self._runs[-1] = (self._runs[-1][0] + len(rows), rows.dtype)
         else:
             self._runs.append((len(rows), rows.dtype))
 
-    def copy_to(self, target: BinaryIO) -> None:
+    def copy_to(self, target: IO[bytes]) -> None:
         """Writes the column in NPY format, in the widest dtype that occurred."""
         dtype = np.result_type(*(run for _, run in self._runs)) if self._runs else self._dtype
         rows = sum(n for n, _ in self._runs)
@@ -240,7 +246,7 @@ def _header(archive: zipfile.ZipFile, name: str) -> Member:
     return member
 
 
-def _read(file: BinaryIO, size: int) -> bytes:
+def _read(file: IO[bytes], size: int) -> bytes:
     data = file.read(size)
     if len(data) < size:
         raise EOFError("it ends too early")
@@ -252,18 +258,30 @@ def _readable(path: Path) -> Iterator[None]:
     """Turns what a damaged archive raises into InputError."""
     try:
         yield
-    except InputError:
+    except (InputError, MemoryError):
         raise
-    except (OSError, EOFError, ValueError, RuntimeError, zipfile.BadZipFile, zlib.error) as error:
+    except Exception as error:  # NumPy's and zipfile's parsers raise whatever their tools do: tokenize, struct, zlib, ast
         reason = error.strerror if isinstance(error, OSError) and error.strerror else error
-        raise InputError(f"{path}: cannot be read as NPZ: {reason}") from error
+        raise InputError(f"{path}: cannot be read as NPZ: {str(reason) or type(error).__name__}") from error
 
 
-def _member(archive: zipfile.ZipFile, name: str) -> BinaryIO:
+def _member(archive: zipfile.ZipFile, name: str) -> IO[bytes]:
     return archive.open(zipfile.ZipInfo(f"{name}.npy"), "w", force_zip64=True)
 
 
 def _from_arrow(field: Any) -> np.dtype:
-    from jaxcap.files.arrow_columns import numpy_type
+    """The NumPy type of an Arrow column. A vector has three entries, whatever its type says of lengths."""
+    from jaxcap.files.arrow_columns import is_ragged, numpy_type, vector_type
 
+    if field.name in VECTORS and is_ragged(field.type):
+        return np.dtype((vector_type(field.type), (3,)))
     return numpy_type(field.type, f"column {field.name!r}")
+
+
+def _to_numpy(name: str, column: Any) -> np.ndarray:
+    """An Arrow column as an array of that type."""
+    from jaxcap.files.arrow_columns import is_ragged, to_numpy, vector_type, vectors
+
+    if name in VECTORS and is_ragged(column.type):
+        return vectors(column, vector_type(column.type))
+    return to_numpy(column, f"column {name!r}")

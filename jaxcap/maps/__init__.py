@@ -4,6 +4,7 @@ Begin with `kernel`, then `grid` (axes), `blocks` (how a grid is cut and answere
 resume). May import every room but `plotting` and `commands`.
 """
 
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -16,6 +17,4 @@ def __getattr__(name: str) -> Any:
     """The public functions when they are asked for: pictures and commands use the grid alone, and have no need of xarray."""
     if name not in ("EXTENSIONS", "kernel_map", "write_map"):
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    from jaxcap.maps import kernel
-
-    return getattr(kernel, name)
+    return getattr(import_module("jaxcap.maps.kernel"), name)

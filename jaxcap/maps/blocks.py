@@ -6,22 +6,26 @@ the device; several devices take a block each. Each line is answered at all spee
 """
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import cache, partial
 from itertools import chain
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Int
+from jaxtyping import Array, Float, Int
+from numpy.typing import DTypeLike
 
 from jaxcap.batch.blocks import BLOCK, LANES, padded_cone, side_by_side
 from jaxcap.batch.devices import Spread, spread_over
-from jaxcap.batch.rounds import answer_block
+from jaxcap.batch.rounds import Shared, States, in_two_rounds
 from jaxcap.contacts.cone import CentroidalCone, ConeRays
-from jaxcap.maps.grid import CONTACTS, Grid, look_up
+from jaxcap.contacts.conventions import ArrayLike, FloatArray
+from jaxcap.maps.grid import CONTACTS, POSITION, Grid, look_up
+from jaxcap.numerics.whole import ceil_div
 from jaxcap.one_state.decision import LIMITS, capturability_along, capturability_at
+from jaxcap.one_state.line import Motion
 
 REGION = 1 << 20
 """Most states of a region: a few megabytes of each figure."""
@@ -55,7 +59,7 @@ class Regions(NamedTuple):
     @property
     def counts(self) -> tuple[int, ...]:
         """Regions along each dimension."""
-        return tuple(-(-self.sizes[name] // step) for name, step in self.steps.items())
+        return tuple(ceil_div(self.sizes[name], step) for name, step in self.steps.items())
 
     def __len__(self) -> int:
         return math.prod(self.counts)
@@ -75,8 +79,8 @@ def regions(grid: Grid) -> Regions:
     sizes = dict(zip(grid.dims, grid.shape, strict=True))
     parts = {name: size if name in CONTACTS else 1 for name, size in sizes.items()}
     if "speed" in parts:
-        parts["speed"] = -(-sizes["speed"] // SPEEDS)
-    step = lambda name: -(-sizes[name] // parts[name])
+        parts["speed"] = ceil_div(sizes["speed"], SPEEDS)
+    step = lambda name: ceil_div(sizes[name], parts[name])
     while math.prod(map(step, sizes)) > REGION:
         longest = max((name for name in sizes if name != "speed"), key=step)
         parts[longest] *= 2
@@ -84,33 +88,43 @@ def regions(grid: Grid) -> Regions:
 
 
 class Answers:
-    """The answers over a grid, region by region.
+    """The answers over a grid, region by region. Several devices share the work, as in `score`.
 
-    cones: of one contact set each, at the points of the grid's axes of contacts, the last one fastest. quantities: fields of
-    `Capturability`; without a speed in the grid, `LIMITS` only. gravity: (3,) [m/s^2]. dtype: of the computation. Several
-    devices share the work, as in `score`.
+    Args:
+        cones: Of one contact set each, at the points of the grid's axes of contacts, the last one fastest.
+        grid: Whose points are answered.
+        quantities: Fields of `Capturability`; without a speed in the grid, `LIMITS` only.
+        gravity: (3,) [m/s^2].
+        dtype: Of the computation.
     """
 
-    def __init__(self, cones: Sequence[CentroidalCone | ConeRays], grid: Grid, quantities: tuple[str, ...], gravity, dtype):
+    def __init__(
+        self,
+        cones: Sequence[CentroidalCone | ConeRays],
+        grid: Grid,
+        quantities: tuple[str, ...],
+        gravity: ArrayLike,
+        dtype: DTypeLike,
+    ):
         self.grid, self.quantities, self.regions = grid, quantities, regions(grid)
-        tables = grid.tables(dtype)
-        self._speeds = tables.pop("speed", np.zeros(0, dtype)) if grid.polar else None
+        tables = grid.tables(np.float64)
+        self._speeds = _cast(tables.pop("speed", np.zeros(0)), dtype) if grid.polar else None
         self._names = tuple(tables)
         self._dims = tuple(name for name in grid.dims if name in (*self._names, *CONTACTS))
         self._sets = {name: size for name, size in self.regions.sizes.items() if name in CONTACTS}
         lines = math.prod(self.regions.region(0).shape(self._dims))
         devices = spread_over(cones)
         self._shares = max(len(devices), 1)
-        blocks = -(-lines // (BLOCK * self._shares)) * self._shares
-        self._size = -(-lines // (blocks * LANES)) * LANES
-        tables, gravity = jax.tree.map(jnp.asarray, tables), jnp.asarray(gravity, dtype)
-        arguments = [(jax.tree.map(jnp.asarray, cone), tables, gravity) for cone in _equally_long(cones)]
-        options = {"names": self._names, "size": self._size, "fields": self.quantities}
+        blocks = ceil_div(lines, BLOCK * self._shares) * self._shares
+        self._size = ceil_div(lines, blocks * LANES) * LANES
+        gravity = jnp.asarray(gravity, np.dtype(dtype))
+        arguments = [(*_about_contacts(cone, tables, dtype), gravity) for cone in _equally_long(cones)]
+        options = _Options(self._names, self._size, self.quantities)
         if self._shares == 1:
-            self._answers = [partial(_compiled, *common, **options) for common in arguments]
+            self._programs = [partial(_compiled, *common, options=options) for common in arguments]
         else:
-            spread = _spread(devices, **options)
-            self._answers = [partial(_on_all, spread, spread.everywhere(common)) for common in arguments]
+            spread = _spread(devices, options)
+            self._programs = [partial(_on_all, spread, spread.everywhere(common)) for common in arguments]
 
     def dims(self, quantity: str) -> tuple[str, ...]:
         """The dimensions of a quantity: those of the grid, without the speed where it does not depend on that."""
@@ -132,7 +146,7 @@ class Answers:
         starts = lambda region: range(0, math.prod(region.shape(self._dims)), self._size * self._shares)
         items, blocks = chain.from_iterable(((region, start) for start in starts(region)) for region in chosen), []
         if numbers:
-            jax.block_until_ready(self._answered(self.regions.region(0), 0))   # compiles, once for all threads
+            jax.block_until_ready(self._answered(self.regions.region(0), 0))  # compiles, once for all threads
         for region, block in side_by_side(lambda item: (item[0], self._answered(*item)), items, ahead=AHEAD):
             blocks.append(block)
             if len(blocks) == len(starts(region)):
@@ -144,7 +158,7 @@ class Answers:
         first = np.int32(start) if self._shares == 1 else start + self._size * np.arange(self._shares, dtype=np.int32)
         places = [region.slices[name].start for name in self._sets]
         number = np.ravel_multi_index(places, tuple(self._sets.values())) if places else 0
-        return self._answers[number](first, *self._of(region))
+        return self._programs[number](first, *self._of(region))
 
     def _of(self, region: Region) -> tuple:
         """What the program has to know of a region: where it begins, its shape, its speeds."""
@@ -164,35 +178,69 @@ class Answers:
         if "speed" in dims:
             at_speeds = values[:, : region.shape(["speed"])[0]].reshape(*shape, -1)
             return np.ascontiguousarray(np.moveaxis(at_speeds, -1, dims.index("speed")))
-        return values.reshape(shape)   # drops the axis of a single speed
+        return values.reshape(shape)  # drops the axis of a single speed
+
+
+def _about_contacts(cone: CentroidalCone | ConeRays, tables: dict[str, np.ndarray], dtype: DTypeLike) -> tuple:
+    """Cone and tables on the device, with the contacts' centroid as the origin of positions: subtracted before they are
+    cast."""
+    origin = dict(zip(POSITION, np.asarray(cone.origin, np.float64), strict=True))
+    local = {name: jnp.asarray(_cast(values - origin.get(name, 0), dtype)) for name, values in tables.items()}
+    return jax.tree.map(jnp.asarray, cone._replace(origin=np.zeros(3))), local
+
+
+def _cast(values: np.ndarray, dtype: DTypeLike) -> np.ndarray:
+    """Beyond the largest number there is infinity, and the states are marked."""
+    with np.errstate(over="ignore"):
+        return values.astype(dtype)
 
 
 def _equally_long(cones: Sequence[CentroidalCone | ConeRays]) -> list[CentroidalCone | ConeRays]:
     """Cones with equally many faces, for which one program serves."""
     padded = [padded_cone(cone) for cone in cones]
-    if len(padded) == 1:
-        return padded
-    rows = max(len(cone.faces) for cone in padded)
-    return [cone.padded(rows) for cone in padded]
+    rows = max(len(cone.faces) for cone in padded if isinstance(cone, CentroidalCone)) if len(padded) > 1 else 0
+    return [cone.padded(rows) if rows and isinstance(cone, CentroidalCone) else cone for cone in padded]
 
 
-def _answers(cone, tables, gravity, start, first, shape, speeds, *, names, size: int, fields: tuple[str, ...]):
+class _Options(NamedTuple):
+    """What a program is compiled for."""
+
+    names: tuple[str, ...]
+    """Axes that states are looked up along."""
+    size: int
+    """Lines of travel of a block."""
+    fields: tuple[str, ...]
+
+
+def _of_block(
+    cone: CentroidalCone | ConeRays,
+    tables: dict[str, Array],
+    gravity: Float[Array, "3"],
+    start: Int[FloatArray, ""],
+    first: Int[FloatArray, " d"],
+    shape: Int[FloatArray, " d"],
+    speeds: Float[Array, " s"] | None,
+    options: _Options,
+) -> dict[str, Array]:
     """The fields of one block of lines of travel."""
-    index = jnp.minimum(start + jnp.arange(size, dtype=jnp.int32), jnp.prod(shape, dtype=jnp.int32) - 1)
+    index = jnp.minimum(start + jnp.arange(options.size, dtype=jnp.int32), jnp.prod(shape, dtype=jnp.int32) - 1)
     places = first[:, None] + _unravelled(index, shape)
-    com, along = look_up(tables, dict(zip(names, places, strict=True)))
-    along_all = partial(capturability_along, speeds=speeds, fields=fields)
-    answer = partial(_at, fields=fields) if speeds is None else along_all
-    return answer_block(cone, (com.T, along.T), gravity, answer=answer)
+    com, along = look_up(tables, dict(zip(options.names, places, strict=True)))
+    answer: Callable[[Motion], dict[str, Array]]
+    if speeds is None:
+        answer = partial(_at, fields=options.fields)
+    else:
+        answer = partial(capturability_along, speeds=speeds, fields=options.fields)
+    return in_two_rounds(Shared(gravity, cone), States(jnp.asarray(com.T), jnp.asarray(along.T)), answer=answer)
 
 
-def _at(line, speed, finite, fields: tuple[str, ...]):
+def _at(motion: Motion, fields: tuple[str, ...]) -> dict[str, Array]:
     """Fields of `capturability_at`."""
-    answer = capturability_at(line, speed, finite)
+    answer = capturability_at(motion)
     return {name: getattr(answer, name) for name in fields}
 
 
-def _unravelled(index: Int[Array, " n"], shape: Int[Array, " d"]) -> Int[Array, "d n"]:
+def _unravelled(index: Int[Array, " n"], shape: Int[FloatArray, " d"]) -> Int[Array, "d n"]:
     """Indices along each axis, of points counted with the last axis fastest."""
     places = []
     for size in shape[::-1]:
@@ -201,19 +249,19 @@ def _unravelled(index: Int[Array, " n"], shape: Int[Array, " d"]) -> Int[Array, 
     return jnp.stack(places[::-1])
 
 
-_compiled = jax.jit(_answers, static_argnames=("names", "size", "fields"))
+_compiled = jax.jit(_of_block, static_argnames="options")
 
 
 @cache
-def _spread(devices: tuple[jax.Device, ...], **options) -> Spread:
+def _spread(devices: tuple[jax.Device, ...], options: _Options) -> Spread:
     """A program of which each device takes the block that begins with its line."""
 
-    def one(common, start):
-        arguments, region = common
-        return _answers(*arguments, start[0], *region, **options)
+    def one(common: Any, start: Int[Array, "1"]) -> dict[str, Array]:
+        (cone, tables, gravity), (first, shape, speeds) = common
+        return _of_block(cone, tables, gravity, start[0], first, shape, speeds, options)
 
     return Spread(one, devices)
 
 
-def _on_all(spread: Spread, arguments, starts, *region) -> dict[str, np.ndarray]:
+def _on_all(spread: Spread, arguments: Any, starts: Any, *region: Any) -> dict[str, np.ndarray]:
     return spread((arguments, spread.everywhere(region)), starts)

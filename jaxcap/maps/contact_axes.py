@@ -14,7 +14,7 @@ from jaxcap.maps.grid import CONTACTS, Grid
 
 Contacts = ContactSet | Sequence[ContactSet] | Mapping[str, ContactSet]
 """One set, or several, perhaps with names."""
-Sets = Mapping[str | int, ContactSet]
+Sets = Mapping[Any, ContactSet]
 """Contact sets by their names, or by their numbers."""
 
 
@@ -53,9 +53,15 @@ def contacts_at(
 ) -> ContactSet:
     """The contacts at a point of these axes.
 
-    contact_set: which of the sets. friction: of all contacts; None leaves theirs. slope: all contacts are turned by this as
-    one body [rad], about a level axis through their centroid, so that what was level goes down towards `downhill` [rad, from
-    x towards y]. Raises InputError for a set that is not there.
+    Args:
+        sets: Those that there are.
+        contact_set: Which of them, from 0.
+        friction: Of all contacts; None leaves theirs.
+        slope: All contacts are turned by this as one body [rad], about a level axis through their centroid.
+        downhill: Where what was level then goes down [rad], from x towards y.
+
+    Raises:
+        InputError: For a set that is not there.
     """
     if not (0 <= contact_set < len(sets) and contact_set == int(contact_set)):
         expected = f"0 to {len(sets) - 1}" if len(sets) > 1 else "0: there is one set"

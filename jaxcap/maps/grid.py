@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
+from numpy.typing import DTypeLike
 
 from jaxcap.contacts.contact_set import ContactSet
 from jaxcap.contacts.conventions import FloatArray
@@ -26,26 +27,28 @@ CONTACTS = ("contact_set", "friction", "slope", "downhill")
 
 
 class About(NamedTuple):
-    """What a file says about an axis."""
+    """What files and pictures say about an axis."""
 
     unit: str
+    label: str
+    """Beside an axis of a picture."""
     meaning: str
 
 
 AXES = {
-    "com_x": About("m", "CoM position, x"),
-    "com_y": About("m", "CoM position, y"),
-    "com_z": About("m", "CoM position, z, up"),
-    "velocity_x": About("m/s", "CoM velocity, x"),
-    "velocity_y": About("m/s", "CoM velocity, y"),
-    "velocity_z": About("m/s", "CoM velocity, z, up"),
-    "heading": About("rad", "direction of the CoM velocity in the horizontal plane, from x towards y"),
-    "pitch": About("rad", "elevation of the CoM velocity above the horizontal plane"),
-    "speed": About("m/s", "norm of the CoM velocity"),
-    "contact_set": About("1", "contact set, counted from 0"),
-    "friction": About("1", "friction coefficient of all contacts"),
-    "slope": About("rad", "tilt of all contacts, about a level axis through their centroid"),
-    "downhill": About("rad", "direction in which the slope goes down, from x towards y"),
+    "com_x": About("m", "CoM position x", "CoM position, x"),
+    "com_y": About("m", "CoM position y", "CoM position, y"),
+    "com_z": About("m", "CoM position z", "CoM position, z, up"),
+    "velocity_x": About("m/s", "CoM velocity x", "CoM velocity, x"),
+    "velocity_y": About("m/s", "CoM velocity y", "CoM velocity, y"),
+    "velocity_z": About("m/s", "CoM velocity z", "CoM velocity, z, up"),
+    "heading": About("rad", "heading", "direction of the CoM velocity in the horizontal plane, from x towards y"),
+    "pitch": About("rad", "pitch", "elevation of the CoM velocity above the horizontal plane"),
+    "speed": About("m/s", "CoM speed", "norm of the CoM velocity"),
+    "contact_set": About("1", "contact set", "contact set, counted from 0"),
+    "friction": About("1", "friction coefficient", "friction coefficient of all contacts"),
+    "slope": About("rad", "slope", "tilt of all contacts, about a level axis through their centroid"),
+    "downhill": About("rad", "downhill", "direction in which the slope goes down, from x towards y"),
 }
 """Every axis that a grid may have."""
 
@@ -64,7 +67,7 @@ MARGIN, ABOVE, PLACES, HEADINGS = 0.1, 0.8, 41, 72
 
 @dataclass(frozen=True, eq=False)
 class Grid:
-    """The states at all combinations of the axes' values; `grid` makes one."""
+    """The states at all combinations of the axes' values; `grid_of` makes one."""
 
     axes: dict[str, Float[np.ndarray, "..."]]
     """Values of each axis in float64: (n,), or () for an axis with one value, along which the grid has no dimension."""
@@ -94,16 +97,26 @@ class Grid:
         """Whether the points are states; otherwise they are lines of travel."""
         return not self.polar or "speed" in self.axes
 
-    def tables(self, dtype) -> dict[str, Float[np.ndarray, "..."]]:
+    def tables(self, dtype: DTypeLike) -> dict[str, Float[np.ndarray, "..."]]:
         """What states are looked up in: values, (n,), and for angles cosine and sine, (2, n)."""
         table = lambda name: _table(name, np.atleast_1d(self.axes[name])).astype(dtype)
-        with np.errstate(over="ignore"):   # beyond the largest number there is infinity, and the states are marked
+        with np.errstate(over="ignore"):  # beyond the largest number there is infinity, and the states are marked
             return {name: table(name) for name in self.axes if name not in CONTACTS}
 
-    def states(self, index: Int[np.ndarray, " n"], dtype=np.float64):
-        """CoM positions (n, 3) [m] and velocities (n, 3) [m/s] of these points, counted in the order of `dims`, the last
-        one fastest: what the map's answers are the answers to. Along axes of `CONTACTS` the states are the same. Raises
-        IndexError for a point that is not there.
+    def states(
+        self, index: Int[np.ndarray, " n"], dtype: DTypeLike = np.float64
+    ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
+        """The states that the map's answers are the answers to. Along axes of `CONTACTS` they are the same.
+
+        Args:
+            index: (n,) points, counted in the order of `dims`, the last one fastest.
+            dtype: Of the states.
+
+        Returns:
+            CoM positions (n, 3) [m] and velocities (n, 3) [m/s].
+
+        Raises:
+            IndexError: For a point that is not there.
         """
         index = np.asarray(index)
         if len(index) and not 0 <= index.min() <= index.max() < self.size:
@@ -114,11 +127,18 @@ class Grid:
         com, along = look_up(tables, {name: places.get(name, nowhere) for name in tables})
         if self.polar:
             along = along * tables["speed"][places.get("speed", nowhere)]
-        return com.T, along.T
+        return np.asarray(com.T), np.asarray(along.T)
 
 
-def grid(axes: Mapping[str, Any]) -> Grid:
-    """The grid with these axes; see `maps.kernel_map`, which says what they may be. Raises InputError."""
+def grid_of(axes: Mapping[str, Any]) -> Grid:
+    """The grid with these axes.
+
+    Args:
+        axes: See `jaxcap.maps.kernel_map`, which says what they may be.
+
+    Raises:
+        InputError: Naming the axis that cannot be used.
+    """
     unknown = next((name for name in axes if name not in AXES), None)
     if unknown is not None:
         raise InputError(f"axis {unknown!r} is not known (expected {', '.join(AXES)})")
@@ -144,6 +164,13 @@ def axes_around(contacts: ContactSet | Iterable[ContactSet], axes: Mapping[str, 
 
     com_x, com_y: 41 values from 0.1 m before the first contact to 0.1 m beyond the last. com_z: 0.8 m above the lowest
     contact. heading: 72 values all around, unless the velocity is given by its components.
+
+    Args:
+        contacts: One set, or several.
+        axes: Those that are given.
+
+    Raises:
+        InputError: If there is no contact to be around.
     """
     sets = [contacts] if isinstance(contacts, ContactSet) else contacts
     points = np.concatenate([np.asarray(one.points)[np.asarray(one.mask)] for one in sets])
@@ -157,7 +184,9 @@ def axes_around(contacts: ContactSet | Iterable[ContactSet], axes: Mapping[str, 
     return {**{name: value for name, value in choice.items() if name not in axes}, **axes}
 
 
-def look_up(tables: Mapping[str, FloatArray], places: Mapping[str, Int[FloatArray, " n"]]):
+def look_up(
+    tables: Mapping[str, FloatArray], places: Mapping[str, Int[FloatArray, " n"]]
+) -> tuple[Float[FloatArray, "3 n"], Float[FloatArray, "3 n"]]:
     """CoM (3, n) [m], and velocity [m/s] or, of polar axes, direction (3, n), at these places of the tables."""
     xp = np if isinstance(next(iter(places.values())), np.ndarray) else jnp
     at = lambda name: tables[name][..., places[name]]
@@ -171,7 +200,7 @@ def _table(name: str, values: Float[np.ndarray, " n"]) -> Float[np.ndarray, "...
     if AXES[name].unit != "rad":
         return values
     turned = np.stack([np.cos(values), np.sin(values)])
-    return np.where(np.abs(turned) < 1e-15, 0, turned)   # rounding of pi: a heading of 90 degrees is along y exactly
+    return np.where(np.abs(turned) < 1e-15, 0, turned)  # rounding of pi: a heading of 90 degrees is along y exactly
 
 
 def _values(name: str, given: Any) -> Float[np.ndarray, "..."]:
@@ -211,16 +240,14 @@ def _from_text(name: str, text: str) -> Float[np.ndarray, "..."]:
     try:
         if ":" not in bare:
             return np.array([number(part) for part in bare.split(",")]) if "," in bare else np.array(number(bare))
-        first, last, count = bare.split(":")
-        first, last, count = number(first), number(last), int(count)
+        start, end, size = bare.split(":")
+        first, last, n = number(start), number(end), int(size)
     except ValueError:
         example = "0:360deg:72" if AXES[name].unit == "rad" else "-0.4:0.4:201"
         expected = f"a value, FIRST:LAST:COUNT or A,B,C; for example {name}={example}"
         raise InputError(f"axis {name}: {text!r:.60} (expected {expected})") from None
-    if not 2 <= count <= LONGEST:
-        raise InputError(f"axis {name}: {text!r} has {count} values (expected 2 to {LONGEST})")
+    if not 2 <= n <= LONGEST:
+        raise InputError(f"axis {name}: {text!r} has {n} values (expected 2 to {LONGEST})")
     if name in ("heading", "downhill") and abs(abs(last - first) - 2 * math.pi) < FULL_CIRCLE:
-        return first + math.copysign(2 * math.pi, last - first) * np.arange(count) / count   # its end is its beginning
-    return np.linspace(first, last, count)
-
-
+        return first + math.copysign(2 * math.pi, last - first) * np.arange(n) / n  # its end is its beginning
+    return np.linspace(first, last, n)

@@ -9,22 +9,24 @@ import hashlib
 import math
 import os
 import shutil
-import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
 import numpy as np
+from numpy.typing import DTypeLike
 
 from jaxcap.contacts.cone import CentroidalCone, ConeRays, centroidal_cone
-from jaxcap.contacts.conventions import GRAVITY
+from jaxcap.contacts.contact_set import ContactSet
+from jaxcap.contacts.conventions import GRAVITY, ArrayLike
 from jaxcap.errors import InputError, needs_extra
 from jaxcap.files.fields import FIELDS, output_types
-from jaxcap.files.whole_file import whole_file
+from jaxcap.files.plausibility import Plausibility, Stand
+from jaxcap.files.whole_file import check_output, whole_file
 from jaxcap.maps.blocks import Answers, regions
 from jaxcap.maps.contact_axes import Contacts, contact_sets, given_sets, with_sets
-from jaxcap.maps.grid import CARTESIAN, Grid, grid
+from jaxcap.maps.grid import CARTESIAN, POSITION, Grid, grid_of
 from jaxcap.one_state.decision import LIMITS
 from jaxcap.version import __version__
 
@@ -43,35 +45,43 @@ def kernel_map(
     axes: Mapping[str, Any],
     quantities: Sequence[str] | None = None,
     *,
-    gravity=GRAVITY,
+    gravity: ArrayLike = GRAVITY,
     sides: int = 4,
-    dtype=None,
+    dtype: DTypeLike | None = None,
     progress: bool = False,
 ) -> xr.Dataset:
     """Capturability at all combinations of the axes' values, in memory.
 
-    cone: contacts, which are projected to faces, or a cone of one contact set from `centroidal_cone` or `cone_rays`.
-    Contacts may be several sets, perhaps with names: then the map has an axis contact_set, of their numbers.
-    axes: com_x, com_y, com_z [m]; and either heading, pitch [rad] and speed [m/s], or velocity_x, velocity_y, velocity_z
-    [m/s]. Each is a number, a list or array of different numbers, or text as on the command line: "0.8", "-0.4:0.4:201"
-    (first, last, number of values), "0.7,0.8,0.9", angles also as "0:360deg:72". heading counts from x towards y, pitch
-    from the horizontal upwards; pitch and velocity_z may be left out, and are 0. A range of headings over a full circle
-    leaves its end out, which is its beginning; lists and arrays are taken as they are. Where `cone` is contacts there may
-    also be axes that change them: contact_set; friction, of all contacts; slope [rad], by which all contacts are turned
-    about their centroid, the CoM staying where it is, so that the ground goes down towards downhill [rad, 0 if left out].
-    quantities: fields of `Capturability`. By default capturable, margin and case; without velocity_* and speed, min_speed
-    and max_speed, which do not need one. gravity: (3,) [m/s^2]. sides: edges of the friction pyramids, for contacts.
-    dtype: of the computation and the figures; by default that of the arrays among the axes, or else float64, as far as JAX's
-    x64 switch allows. progress: show a bar on stderr, if that is a terminal.
+    An axis is a number, a list or array of different numbers, or text as on the command line: "0.8", "-0.4:0.4:201" (first,
+    last, number of values), "0.7,0.8,0.9", angles also as "0:360deg:72". A range of headings over a full circle leaves its
+    end out, which is its beginning; lists and arrays are taken as they are. Where `cone` is contacts there may also be axes
+    that change them: contact_set; friction, of all contacts; slope [rad], by which all contacts are turned about their
+    centroid, the CoM staying where it is, so that the ground goes down towards downhill [rad, 0 if left out].
 
-    The Dataset has the axes with more than one value, or a list of one, as dimensions in the order given, the others as
-    coordinates without dimension, and a variable for each quantity; min_speed and max_speed have no dimension `speed`. At
-    speed zero the answers are those of a robot that stands still, see `Status.NO_DIRECTION`. Everything has units; `case`
-    and `status` are int8 with flag_values and flag_meanings, and contact_set has them too if the sets have names. The
-    attributes hold contacts, those given, as the text of a contacts file, sides (both only where contacts were given),
-    gravity, dtype, conventions and version.
+    Args:
+        cone: Contacts, which are projected to faces, or a cone of one contact set from `centroidal_cone` or `cone_rays`.
+            Contacts may be several sets, perhaps with names: then the map has an axis contact_set, of their numbers.
+        axes: com_x, com_y, com_z [m]; and either heading, pitch [rad] and speed [m/s], or velocity_x, velocity_y,
+            velocity_z [m/s]. heading counts from x towards y, pitch from the horizontal upwards; pitch and velocity_z may be
+            left out, and are 0.
+        quantities: Fields of `Capturability`. By default capturable, margin and case; without velocity_* and speed,
+            min_speed and max_speed, which do not need one.
+        gravity: (3,) [m/s^2].
+        sides: Edges of the friction pyramids, for contacts.
+        dtype: Of the computation and the figures; by default that of the arrays among the axes, or else float64, as far as
+            JAX's x64 switch allows.
+        progress: Show a bar on stderr, if that is a terminal.
 
-    Raises InputError naming the axis, quantity or option that cannot be used, before anything is computed.
+    Returns:
+        A Dataset with the axes with more than one value, or a list of one, as dimensions in the order given, the others as
+        coordinates without dimension, and a variable for each quantity; min_speed and max_speed have no dimension `speed`.
+        At speed zero the answers are those of a robot that stands still, see `Status.NO_DIRECTION`. Everything has units;
+        `case` and `status` are int8 with flag_values and flag_meanings, and contact_set has them too if the sets have
+        names. The attributes hold contacts, those given, as the text of a contacts file, sides (both only where contacts
+        were given), gravity, dtype, conventions and version.
+
+    Raises:
+        InputError: Naming the axis, quantity or option that cannot be used, before anything is computed.
     """
     answers, about = _prepared(cone, _checked(cone, axes, quantities, dtype), gravity, sides, progress)
     return _in_memory(answers, about, progress)
@@ -83,21 +93,38 @@ def write_map(
     axes: Mapping[str, Any],
     quantities: Sequence[str] | None = None,
     *,
-    gravity=GRAVITY,
+    gravity: ArrayLike = GRAVITY,
     sides: int = 4,
-    dtype=None,
+    dtype: DTypeLike | None = None,
     progress: bool = False,
     force: bool = False,
 ) -> int:
     """`kernel_map` into a file: Zarr (.zarr), region by region and larger than memory if need be, or netCDF (.nc).
 
-    Returns how many states were computed; without a speed, lines of travel. force: replace a file that is there. A Zarr map
-    grows in the directory PATH.partial and takes its name when it is complete; when the same call finds that directory, it
-    goes on where the other ended, however that was. The bytes are the same in the end. A netCDF map has to fit into memory,
-    and is written whole or not at all. The other arguments are those of `kernel_map`.
+    A Zarr map grows in the directory PATH.partial and takes its name when it is complete; when the same call finds that
+    directory, it goes on where the other ended, however that was. The bytes are the same in the end. A netCDF map has to fit
+    into memory, and is written whole or not at all.
 
-    Raises InputError, before anything is computed, also for a file that is there, a disk that is too small, or a
-    PATH.partial that holds another map.
+    In Zarr `capturable` is int8, 0 or 1: a piece whose file is lost reads as -1 there and in case and status, as NaN in
+    figures.
+
+    Args:
+        path: Map to write.
+        cone: As in `kernel_map`, and so are the arguments that follow.
+        axes: Values by name; text, numbers or arrays.
+        quantities: Fields of `Capturability`.
+        gravity: (3,) [m/s^2].
+        sides: Edges of the friction pyramids, for contacts.
+        dtype: Of the computation and the figures.
+        progress: Show a bar on stderr, if that is a terminal.
+        force: Replace a file that is there.
+
+    Returns:
+        How many states were computed; without a speed, lines of travel.
+
+    Raises:
+        InputError: Before anything is computed, as in `kernel_map`; also for a file that is there, a disk that is too small,
+            or a PATH.partial that holds another map.
     """
     path = Path(path)
     _check_path(path, force)
@@ -116,12 +143,12 @@ def write_map(
     answers, about = _prepared(cone, asked, gravity, sides, progress)
     with growing_map(path, about.coordinates, about.variables, about.settings, force=force) as store:
         todo = [number for number in range(len(answers.regions)) if number not in store.done]
-        count = sum(answers.states(answers.regions.region(number)) for number in todo)
-        with _bar("states", asked.grid.size, asked.grid.size - count, progress) as bar:
+        computed = sum(answers.states(answers.regions.region(number)) for number in todo)
+        with _bar("states", asked.grid.size, asked.grid.size - computed, progress) as bar:
             for region, values in answers.over(todo):
                 store.write(region.number, {name: answers.place(region, name) for name in values}, values)
                 bar.update(answers.states(region))
-    return count
+    return computed
 
 
 class _Asked(NamedTuple):
@@ -148,8 +175,13 @@ class _About(NamedTuple):
     """All that the answers depend on."""
 
 
-def _checked(cone, axes, quantities, dtype) -> _Asked:
-    points = grid(with_sets(cone, axes))
+def _checked(
+    cone: Contacts | CentroidalCone | ConeRays,
+    axes: Mapping[str, Any],
+    quantities: Sequence[str] | None,
+    dtype: DTypeLike | None,
+) -> _Asked:
+    points = grid_of(with_sets(cone, axes))
     if quantities is None:
         quantities = ("capturable", "margin", "case") if points.has_speed else LIMITS
     quantities = (quantities,) if isinstance(quantities, str) else tuple(quantities)
@@ -172,7 +204,9 @@ def _checked(cone, axes, quantities, dtype) -> _Asked:
     return _Asked(points, quantities, able)
 
 
-def _prepared(cone, asked: _Asked, gravity, sides: int, progress: bool) -> tuple[Answers, _About]:
+def _prepared(
+    cone: Contacts | CentroidalCone | ConeRays, asked: _Asked, gravity: ArrayLike, sides: int, progress: bool
+) -> tuple[Answers, _About]:
     """What computes the map, and what the map says of itself."""
     gravity = np.asarray(gravity, np.float64)
     if gravity.shape != (3,) or not np.isfinite(gravity).all():
@@ -181,6 +215,7 @@ def _prepared(cone, asked: _Asked, gravity, sides: int, progress: bool) -> tuple
     answers = Answers(cones, asked.grid, asked.quantities, gravity, asked.dtype)
     dims = asked.grid.dims
     over = f" over {', '.join(dims)}" if dims else ""
+    notes = notes_of(list(given_sets(cone).values()), asked.grid)
     attributes = {
         "title": f"zero-step capturability{over}: {', '.join(asked.quantities)}",
         "source": f"jaxcap {__version__}",
@@ -188,6 +223,7 @@ def _prepared(cone, asked: _Asked, gravity, sides: int, progress: bool) -> tuple
         "gravity": gravity.tolist(),
         "dtype": asked.dtype.name,
         **origin,
+        **({"notes": "; ".join(notes)} if notes else {}),
     }
     types = output_types(asked.dtype)
     steps = answers.regions.steps
@@ -212,7 +248,20 @@ def _prepared(cone, asked: _Asked, gravity, sides: int, progress: bool) -> tuple
     return answers, _About(coordinates(asked.grid, given_sets(cone), attributes), variables, settings)
 
 
-def _cones(cone, points: Grid, sides: int, progress: bool) -> tuple[list, dict[str, Any]]:
+def notes_of(sets: Sequence[ContactSet], points: Grid) -> tuple[str, ...]:
+    """What is hardly plausible about most of the map: its CoM positions at the quartiles of their axes, with each set."""
+    quartiles = [np.quantile(points.axes[name], [0.25, 0.5, 0.75]) for name in POSITION]
+    coms = np.stack(np.meshgrid(*quartiles), axis=-1).reshape(-1, 3)
+    plausible = Plausibility()
+    for contacts in sets:
+        fields = contacts.points, contacts.frames[..., 2], contacts.mask
+        plausible.add(Stand(*(np.repeat(np.asarray(field)[None], len(coms), axis=0) for field in fields)), coms)
+    return plausible.notes("of the map")
+
+
+def _cones(
+    cone: Contacts | CentroidalCone | ConeRays, points: Grid, sides: int, progress: bool
+) -> tuple[list, dict[str, Any]]:
     """The cones at all points of the grid's axes of contacts, and what the map says of their origin."""
     sets = given_sets(cone)
     if not sets:
@@ -247,23 +296,17 @@ def _in_memory(answers: Answers, about: _About, progress: bool) -> xr.Dataset:
 
 
 def _bar(unit: str, total: int, done: int, progress: bool) -> tqdm:
-    hidden = not (progress and sys.stderr.isatty())
+    hidden = None if progress else True  # None: where stderr is no terminal
     return tqdm(total=total, initial=done, unit=f" {unit}", unit_scale=True, disable=hidden)
 
 
 def _check_path(path: Path, force: bool) -> None:
     """Raises InputError if the map cannot be written there."""
-    if path.suffix.lower() not in EXTENSIONS:
-        raise InputError(f"{path}: unknown extension {path.suffix!r} (expected {' or '.join(EXTENSIONS)})")
-    if not path.parent.is_dir():
-        raise InputError(f"{path}: no such directory: {path.parent}")
-    if not path.exists():
-        return
-    zarr = path.suffix.lower() == ".zarr"
-    if not ((path / "zarr.json").is_file() or (path / ".zgroup").is_file() if zarr else path.is_file()):
-        raise InputError(f"{path}: exists and is not {'a Zarr group' if zarr else 'a file'}")
-    if not force:
-        raise InputError(f"{path}: exists already (--force overwrites it)")
+    if path.suffix.lower() == ".zarr":
+        is_group = lambda path: (path / "zarr.json").is_file() or (path / ".zgroup").is_file()
+        check_output(path, force=force, extensions=EXTENSIONS, is_ours=is_group, kind="Zarr group")
+    else:
+        check_output(path, force=force, extensions=EXTENSIONS)
 
 
 def _check_disk(path: Path, size: float) -> None:

@@ -7,6 +7,7 @@ from typing import Any
 import jax
 import numpy as np
 import xarray as xr
+from numpy.typing import DTypeLike
 
 from jaxcap.contacts.contact_set import ContactSet
 from jaxcap.files.fields import FIELDS, NAMES
@@ -23,11 +24,11 @@ def coordinates(points: Grid, sets: Sets, attributes: Mapping[str, Any]) -> xr.D
     """The axes of a map, and its attributes, without variables. sets: their names tell the values of contact_set."""
     found = {}
     for name, values in points.axes.items():
-        about = {"units": AXES[name].unit, "long_name": AXES[name].meaning}
+        about: dict[str, Any] = {"units": AXES[name].unit, "long_name": AXES[name].label, "comment": AXES[name].meaning}
         if name == "contact_set":
             values = values.astype(np.int32)
             if isinstance(next(iter(sets)), str):
-                about |= _flags({key: number for number, key in enumerate(sets)}, np.int32)
+                about |= _flags({str(key): number for number, key in enumerate(sets)}, np.int32)
         found[name] = (name,) if values.ndim else (), values, about
     return xr.Dataset(coords=found, attrs=dict(attributes))
 
@@ -35,12 +36,11 @@ def coordinates(points: Grid, sets: Sets, attributes: Mapping[str, Any]) -> xr.D
 def attributes_of(quantity: str) -> dict[str, Any]:
     """What a variable says of itself."""
     field = FIELDS[quantity]
-    if quantity not in NAMES:
-        return {"units": field.unit or "1", "long_name": field.meaning}
-    return {"units": "1", "long_name": field.meaning, **_flags(NAMES[quantity], np.int8)}
+    codes = _flags(NAMES[quantity], np.int8) if quantity in NAMES else {}
+    return {"units": field.unit or "1", "long_name": field.label, "comment": field.meaning, **codes}
 
 
-def _flags(codes: Mapping[str, int], dtype) -> dict[str, Any]:
+def _flags(codes: Mapping[str, int], dtype: DTypeLike) -> dict[str, Any]:
     """What the codes of a field mean, in the words of the CF conventions: words without blanks."""
     meanings = " ".join("_".join(name.split()) for name in codes)
     return {"flag_values": np.array(list(codes.values()), dtype), "flag_meanings": meanings}
@@ -48,7 +48,7 @@ def _flags(codes: Mapping[str, int], dtype) -> dict[str, Any]:
 
 def as_file(sets: Sets) -> str:
     """The text of a contacts file with these sets."""
-    entries = {name: _entries(contacts) for name, contacts in sets.items()}
+    entries: dict[str | int, Any] = {name: _entries(contacts) for name, contacts in sets.items()}
     if len(sets) == 1:
         return json.dumps({"contacts": next(iter(entries.values()))})
     name_of = lambda name: {"name": name} if isinstance(name, str) else {}

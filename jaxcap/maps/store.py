@@ -8,7 +8,6 @@ of which the journal does not know; they are written again. The last step is to 
 import json
 import math
 import os
-import secrets
 import shutil
 import warnings
 from collections.abc import Iterator, Mapping
@@ -22,8 +21,11 @@ import zarr
 from zarr.codecs import BloscCodec
 
 from jaxcap.errors import InputError
+from jaxcap.files.whole_file import refuse_late_comer, temporary_beside, write_errors_of
 
 MAP, SETTINGS, JOURNAL = "map.zarr", "settings.json", "journal"
+ABSENT = -1
+"""What codes are where a chunk is lost; `Case.UNDECIDED`, and no `Status`."""
 
 
 class Variable(NamedTuple):
@@ -65,24 +67,27 @@ def growing_map(
 ) -> Iterator[GrowingMap]:
     """The map at `path`, in a `with` block; it takes its name when the block ends without an error.
 
-    coordinates: axes and attributes. settings: what the map depends on, for JSON. If there is a partial map with the same
-    settings, it is continued. force: replace a map that is there, at the end.
+    Args:
+        path: Where the map goes.
+        coordinates: Its axes and attributes.
+        variables: Its quantities by name.
+        settings: What the map depends on, for JSON. If there is a partial map with the same settings, it is continued.
+        force: Replace a map that is there, at the end.
 
-    Raises InputError for a partial map with other settings, one that another process is writing, and for an error of the
-    file system, a full disk for one. Then, and for any other exception, the partial map can be continued.
+    Raises:
+        InputError: For a partial map with other settings, one that another process is writing, and for an error of the
+            file system, a full disk for one. Then, and for any other exception, the partial map can be continued.
     """
     partial = partial_path(path)
     settings = json.loads(json.dumps(settings))
-    try:
+    with write_errors_of(path):
         if not partial.exists():
             _begin(partial, settings)
         with _claimed(partial, settings), _journal(partial, coordinates, variables) as journal:
-            group = zarr.open_group(partial / MAP, mode="r+")
-            yield GrowingMap({name: group[name] for name in variables}, journal, recorded(path))
+            arrays = dict(zarr.open_group(partial / MAP, mode="r+").arrays())
+            yield GrowingMap({name: arrays[name] for name in variables}, journal, recorded(path))
         _publish(partial / MAP, path, force)
         shutil.rmtree(partial)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written: {error.strerror or error}") from error
 
 
 def partial_path(path: Path) -> Path:
@@ -95,13 +100,13 @@ def recorded(path: Path) -> set[int]:
     partial = partial_path(path)
     if not (partial / MAP).exists() or not (partial / JOURNAL).exists():
         return set()
-    whole, _, _ = (partial / JOURNAL).read_bytes().rpartition(b"\n")   # a line without an end is not to be trusted
+    whole, _, _ = (partial / JOURNAL).read_bytes().rpartition(b"\n")  # a line without an end is not to be trusted
     return set(map(int, whole.split()))
 
 
 def _begin(partial: Path, settings: Mapping[str, Any]) -> None:
     """Makes the directory, with the settings in it from the first moment on."""
-    temporary = partial.with_name(f".jaxcap-{secrets.token_hex(8)}.tmp")
+    temporary = temporary_beside(partial)
     try:
         temporary.mkdir()
         (temporary / SETTINGS).write_text(json.dumps(settings))
@@ -123,7 +128,7 @@ def _claimed(partial: Path, settings: Mapping[str, Any]) -> Iterator[None]:
             f"{partial}: an unfinished map with other {other} (finish it with the same settings, or remove the directory)"
         )
     with open(partial / SETTINGS, "rb") as handle:
-        with suppress(ImportError):   # where the system has no such locks, the user has to take care
+        with suppress(ImportError):  # where the system has no such locks, the user has to take care
             import fcntl
 
             try:
@@ -142,7 +147,7 @@ def _journal(partial: Path, coordinates: xr.Dataset, variables: Mapping[str, Var
     if not journal.exists():
         _make(partial / MAP, coordinates, variables)
         journal.touch()
-    for stray in (partial / MAP).rglob("*.partial"):   # of chunks, by a run that was killed
+    for stray in (partial / MAP).rglob("*.partial"):  # of chunks, by a run that was killed
         stray.unlink()
     with open(journal, "r+b") as handle:
         handle.truncate(handle.read().rfind(b"\n") + 1)
@@ -156,29 +161,41 @@ def _make(path: Path, coordinates: xr.Dataset, variables: Mapping[str, Variable]
     coordinates.to_zarr(path, mode="w", zarr_format=3, consolidated=False)
     group = zarr.open_group(path, mode="r+")
     for name, variable in variables.items():
+        kind = _stored(variable.dtype)
         group.create_array(
             name,
             shape=variable.shape,
             chunks=variable.chunks,
-            dtype=variable.dtype,
+            dtype=kind,
             dimension_names=variable.dims,
-            attributes={key: value.tolist() if isinstance(value, np.ndarray) else value
-                        for key, value in variable.attributes.items()},
-            fill_value=np.nan if variable.dtype.kind == "f" else 0,
-            compressors=BloscCodec(cname="zstd", clevel=1, shuffle="bitshuffle", typesize=variable.dtype.itemsize),
+            attributes={
+                key: value.tolist() if isinstance(value, np.ndarray) else value
+                for key, value in {**variable.attributes, **_of_booleans(variable.dtype)}.items()
+            },
+            fill_value=np.nan if kind.kind == "f" else ABSENT,
+            compressors=BloscCodec(cname="zstd", clevel=1, shuffle="bitshuffle", typesize=kind.itemsize),
             config={"write_empty_chunks": False},
         )
-    with warnings.catch_warnings():   # format 3 has no word for it yet; xarray warns of its absence
+    with warnings.catch_warnings():  # format 3 has no word for it yet; xarray warns of its absence
         warnings.filterwarnings("ignore", message="Consolidated metadata")
         zarr.consolidate_metadata(path)
 
 
+def _stored(dtype: np.dtype) -> np.dtype:
+    """The type in the file: where a chunk is lost, no verdict may stand, and a boolean has no third value."""
+    return np.dtype(np.int8) if dtype.kind == "b" else dtype
+
+
+def _of_booleans(dtype: np.dtype) -> dict[str, Any]:
+    """What booleans that became codes say of themselves, in the words of the CF conventions."""
+    return {"flag_values": [0, 1], "flag_meanings": "no yes"} if dtype.kind == "b" else {}
+
+
 def _publish(source: Path, path: Path, force: bool) -> None:
     """Gives the map its name, in place of an old one if need be."""
-    old = path.with_name(f".jaxcap-{secrets.token_hex(8)}.tmp")
-    if path.exists():
-        if not force:
-            raise InputError(f"{path}: exists already; it was written in the meantime")
+    refuse_late_comer(path, force)
+    old = temporary_beside(path)
+    if path.exists():  # a directory, unlike a file, cannot be renamed over another
         os.rename(path, old)
     os.rename(source, path)
     shutil.rmtree(old, ignore_errors=True)

@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jax.typing import DTypeLike
 from jaxtyping import Array, Float
 
 
@@ -23,7 +24,7 @@ class Tolerances(NamedTuple):
     """A ray's weight this far below zero, relative to gravity's wrench, is zero."""
 
 
-def tolerances(dtype) -> Tolerances:
+def tolerances(dtype: DTypeLike) -> Tolerances:
     """The tolerances of a floating-point dtype."""
     if jnp.finfo(dtype).bits == 64:
         return Tolerances(1e-12, 1e-9, pivot=1e-9, reduced_cost=1e-12, weight=1e-14)
@@ -36,7 +37,7 @@ def root(square: Float[Array, "*n"]) -> Float[Array, "*n"]:
     return jnp.where(positive, jnp.sqrt(jnp.where(positive, square, 1)), 0)
 
 
-def ratio(numerator: Float[Array, "..."], denominator: Float[Array, "..."], otherwise=0.0) -> Float[Array, "..."]:
+def ratio(numerator: Float[Array, "..."], denominator: Float[Array, "..."], otherwise: float = 0.0) -> Float[Array, "..."]:
     """Quotient, `otherwise` where the denominator is zero."""
     safe = denominator != 0
     return jnp.where(safe, numerator / jnp.where(safe, denominator, 1), otherwise)
@@ -65,7 +66,7 @@ def direction(velocity: Float[Array, "3 *n"]) -> tuple[Float[Array, "3 *n"], Flo
     The velocity is scaled first, such that its square neither overflows nor vanishes.
     """
     size = jnp.max(jnp.abs(velocity), axis=0)
-    scale = jax.lax.stop_gradient(jnp.where(size > 0, size, 1))   # it cancels, so it has no gradient
+    scale = jax.lax.stop_gradient(jnp.where(size > 0, size, 1))  # it cancels, so it has no gradient
     scaled = velocity / scale
     norm = root(jnp.sum(scaled * scaled, axis=0))
     return ratio(scaled, norm), norm * scale

@@ -1,6 +1,8 @@
 """A loop that runs as often as it must, and can be differentiated in reverse all the same."""
 
 import functools
+from collections.abc import Callable
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -10,7 +12,7 @@ FEW = 4
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0, 1))
-def bounded_loop(step, bound: int, count, arguments, start):
+def bounded_loop(step: Callable, bound: int, count: Any, arguments: Any, start: Any) -> Any:
     """`for k in range(count): state = step(k, arguments, state)`, count <= bound.
 
     step must not close over values that are differentiated: they belong in `arguments`. JAX cannot reverse a loop of

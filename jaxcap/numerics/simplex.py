@@ -12,11 +12,12 @@ their weights must vanish, but for rounding. If all this does not end it in time
 """
 
 from enum import IntEnum
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import DTypeLike
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxcap.numerics.guarded import tolerances
@@ -69,7 +70,7 @@ class Program(NamedTuple):
 class Basis(NamedTuple):
     """Six columns of a program, one for each row."""
 
-    index: Int[Array, "6 *n"]
+    chosen: Int[Array, "6 *n"]
     """Number of a ray, FREE, or UNIT, UNIT - 1, ..."""
     inverse: Float[Array, "6 6 *n"]
     """Of the matrix of these columns: times a vector, their weights in it."""
@@ -83,7 +84,7 @@ class Solution(NamedTuple):
     pivots: Int[Array, "*n"]
 
 
-def identity(shape: tuple, dtype) -> Basis:
+def identity(shape: tuple[int, ...], dtype: DTypeLike) -> Basis:
     """The basis of unit columns."""
     over_lanes = lambda array: jnp.broadcast_to(array.reshape(*array.shape, *[1] * len(shape)), (*array.shape, *shape))
     return Basis(over_lanes(UNIT - jnp.arange(6, dtype=jnp.int32)), over_lanes(jnp.eye(6, dtype=dtype)))
@@ -91,7 +92,7 @@ def identity(shape: tuple, dtype) -> Basis:
 
 def times(matrix: Float[Array, "6 6 *n"], vector: Float[Array, "6 *n"]) -> Float[Array, "6 *n"]:
     """Product, lane by lane. The sum is written out: XLA's reductions over computed products are slow on a CPU."""
-    return sum(matrix[:, i] * vector[i] for i in range(6))
+    return cast(Array, sum(matrix[:, i] * vector[i] for i in range(6)))
 
 
 def mixture(rays: Float[Array, "6 r *#n"]) -> Float[Array, "6 *#n"]:
@@ -106,7 +107,7 @@ def mixture(rays: Float[Array, "6 r *#n"]) -> Float[Array, "6 *#n"]:
 
 def combination(vector: Float[Array, "6 *n"], rows: Float[Array, "6 k *#n"]) -> Float[Array, "k *n"]:
     """Sum of rows with these factors: a row of the simplex tableau, of all rays or of a basis."""
-    return sum(rows[i] * vector[i] for i in range(6))
+    return cast(Array, sum(rows[i] * vector[i] for i in range(6)))
 
 
 def ray(rays: Float[Array, "6 r *#n"], index: Int[Array, "*n"]) -> Float[Array, "6 *n"]:
@@ -122,7 +123,9 @@ def columns(program: Program, index: Int[Array, "6 *n"]) -> Float[Array, "6 6 *n
 
 
 @jax.custom_jvp
-def weights(inverse: Float[Array, "6 6 *n"], matrix: Float[Array, "6 6 *n"], target: Float[Array, "6 *n"]):
+def weights(
+    inverse: Float[Array, "6 6 *n"], matrix: Float[Array, "6 6 *n"], target: Float[Array, "6 *n"]
+) -> Float[Array, "6 *n"]:
     """The weights of a basis with this matrix in the target; differentiable in matrix and target, not in the inverse."""
     return times(inverse, target)
 
@@ -134,7 +137,13 @@ def _weights_jvp(primals, tangents):
     return found, times(inverse, moved - times(matrix, found))
 
 
-def pivot(basis: Basis, leaving: Bool[Array, "6 *n"], entering: Int[Array, "*n"], direction, go) -> Basis:
+def pivot(
+    basis: Basis,
+    leaving: Bool[Array, "6 *n"],
+    entering: Int[Array, "*n"],
+    direction: Float[Array, "6 *n"],
+    go: Bool[Array, "*n"],
+) -> Basis:
     """The basis with one column replaced, in lanes that `go`.
 
     leaving: one row of six. direction: weights of the entering column in the basis.
@@ -144,7 +153,7 @@ def pivot(basis: Basis, leaving: Bool[Array, "6 *n"], entering: Int[Array, "*n"]
     row = row / jnp.where(go, element, 1)
     change = jnp.where(go, jnp.where(leaving, direction - 1, direction), 0)
     inverse = basis.inverse - change[:, None] * row[None]
-    return Basis(jnp.where(leaving & go, entering, basis.index).astype(jnp.int32), inverse)
+    return Basis(jnp.where(leaving & go, entering, basis.chosen).astype(jnp.int32), inverse)
 
 
 def first_of(values: Float[Array, "k *n"], least: Float[Array, "*n"]) -> Int[Array, "*n"]:
@@ -162,7 +171,7 @@ def largest(values: Float[Array, "6 *n"]) -> tuple[Float[Array, "*n"], Bool[Arra
 def freed(program: Program, basis: Basis) -> Basis:
     """The basis with the free variable of this program, in place of another program's or of the best unit column."""
     bound = tolerances(program.target.dtype).pivot
-    stale = basis.index == FREE
+    stale = basis.chosen == FREE
     row = combination(stale.astype(program.target.dtype), basis.inverse)
     size, unit = largest(jnp.abs(row))
     axis = jnp.argmax(unit, axis=0).astype(jnp.int32)
@@ -171,7 +180,7 @@ def freed(program: Program, basis: Basis) -> Basis:
     basis = pivot(basis, stale, UNIT - axis, unit_direction, out & (size > 0))
     direction = times(basis.inverse, program.free)
     # A unit column is as good as lost; among the others, the largest pivot.
-    size, leaving = largest(jnp.where(basis.index <= UNIT, LOST_UNIT, 1) * jnp.abs(direction))
+    size, leaving = largest(jnp.where(basis.chosen <= UNIT, LOST_UNIT, 1) * jnp.abs(direction))
     found = size > bound * jnp.max(jnp.abs(program.free), axis=0)
     return pivot(basis, leaving, jnp.full(size.shape, FREE, jnp.int32), direction, found)
 
@@ -183,7 +192,7 @@ def factorised(program: Program, index: Int[Array, "6 *n"]) -> Basis:
     matrix = columns(program, index)
     for k in range(6):
         direction = times(basis.inverse, matrix[:, k])
-        size, leaving = largest(jnp.where(basis.index <= UNIT, jnp.abs(direction), 0))
+        size, leaving = largest(jnp.where(basis.chosen <= UNIT, jnp.abs(direction), 0))
         basis = pivot(basis, leaving, index[k], direction, (size > bound) & (index[k] > UNIT))
     return basis
 
@@ -198,7 +207,7 @@ def renewed(program: Program, basis: Basis) -> Basis:
 
     Where the free column does not fit, or the rays have changed so much that the inverse is none, it begins anew.
     """
-    leaving, direction = basis.index == FREE, times(basis.inverse, program.free)
+    leaving, direction = basis.chosen == FREE, times(basis.inverse, program.free)
     own = jnp.abs(jnp.sum(jnp.where(leaving, direction, 0), axis=0))
     fits = own > LEAST_FIT * jnp.max(jnp.abs(direction), axis=0)
     better, error = _newton(program, pivot(basis, leaving, jnp.full(fits.shape, FREE, jnp.int32), direction, fits))
@@ -217,7 +226,7 @@ def _newton(program: Program, basis: Basis) -> tuple[Basis, Float[Array, "*n"]]:
     The error is that of inverse @ matrix, which weights inherit. That of matrix @ inverse would do for most bases, but where
     an inverse is large, as that of a nearly flat cone, its rounding errors would be multiplied by all of it.
     """
-    matrix, inverse = columns(program, basis.index), basis.inverse
+    matrix, inverse = columns(program, basis.chosen), basis.inverse
     product = sum(inverse[:, i, None] * matrix[None, i] for i in range(6))
     error = jnp.eye(6, dtype=inverse.dtype).reshape(6, 6, *[1] * (inverse.ndim - 2)) - product
     better = inverse + sum(error[:, i, None] * inverse[None, i] for i in range(6))
@@ -231,7 +240,7 @@ class SimplexState(NamedTuple):
     running: Bool[Array, "*n"]
     flat: Bool[Array, "*n"]
     """No ray takes over from the unit columns that are left: their weights may be as large as the slack."""
-    count: Int[Array, ""]
+    steps: Int[Array, ""]
     checked: Bool[Array, ""]
     """All have come to an end with inverses that are to be trusted."""
 
@@ -249,7 +258,7 @@ def solve(program: Program, basis: Basis, active: Bool[Array, "*n"]) -> Solution
     def one(state: SimplexState) -> SimplexState:
         return jax.lax.cond(jnp.any(state.running), lambda: _step(program, state), lambda: _checked(program, state))
 
-    last = jax.lax.while_loop(lambda state: ~state.checked & (state.count < MAX_PIVOTS), one, start)
+    last = jax.lax.while_loop(lambda state: ~state.checked & (state.steps < MAX_PIVOTS), one, start)
     return last.solution
 
 
@@ -260,7 +269,7 @@ def _checked(program: Program, state: SimplexState) -> SimplexState:
     worn = (error > _SPOILT[jnp.finfo(error.dtype).bits]) & (solution.outcome != Outcome.UNDECIDED)
 
     def anew():
-        return jax.tree.map(lambda new, old: jnp.where(worn, new, old), factorised(program, solution.basis.index), better)
+        return jax.tree.map(lambda new, old: jnp.where(worn, new, old), factorised(program, solution.basis.chosen), better)
 
     basis = jax.lax.cond(jnp.any(worn), anew, lambda: better)
     return state._replace(solution=solution._replace(basis=basis), running=worn, checked=~jnp.any(worn))
@@ -268,10 +277,10 @@ def _checked(program: Program, state: SimplexState) -> SimplexState:
 
 def _step(program: Program, state: SimplexState) -> SimplexState:
     """One pivot, or the end."""
-    (basis, outcome, pivots), running, flat, count, checked = state
-    late = count >= BLAND
+    (basis, outcome, pivots), running, flat, steps, checked = state
+    late = steps >= BLAND
     weights = times(basis.inverse, program.target)
-    zero = _zero(program, basis, weights, count)
+    zero = _zero(program, basis, weights, steps)
     held = _held(program, basis, weights, flat, zero)
     normal = combination(held.objective(basis).astype(held.weights.dtype), basis.inverse)
     entering, improves = _entering(program, normal, late)
@@ -289,7 +298,7 @@ def _step(program: Program, state: SimplexState) -> SimplexState:
     outcome = jnp.where(improves & ~gives_way, endless, outcome)
     basis = pivot(basis, leaving, entering, direction, go)
     solution = Solution(basis, outcome.astype(jnp.int32), pivots + go)
-    return SimplexState(solution, go | flattens, flat | flattens, count + 1, checked)
+    return SimplexState(solution, go | flattens, flat | flattens, steps + 1, checked)
 
 
 class Held(NamedTuple):
@@ -303,10 +312,10 @@ class Held(NamedTuple):
 
     def objective(self, basis: Basis) -> Array:
         """Which columns' weights are to become smaller: those that are missing, or else the free variable's."""
-        return jnp.where(self.seeking, self.missing, basis.index == FREE)
+        return jnp.where(self.seeking, self.missing, basis.chosen == FREE)
 
 
-def _zero(program: Program, basis: Basis, weights: Float[Array, "6 *n"], count: Int[Array, ""]) -> Float[Array, "*n"]:
+def _zero(program: Program, basis: Basis, weights: Float[Array, "6 *n"], steps: Int[Array, ""]) -> Float[Array, "*n"]:
     """How far below zero a weight is still zero [m/s^2]: relative to all that the rays have to add up to.
 
     Pivots that are too small to be taken are left out, yet the weights behind them move, and where a cone is nearly flat by
@@ -314,32 +323,36 @@ def _zero(program: Program, basis: Basis, weights: Float[Array, "6 *n"], count: 
     and more and more of it.
     """
     bounds = tolerances(program.target.dtype)
-    late = jnp.maximum(count - BLAND, 0) / 8
-    share = jnp.where(count < BLAND, bounds.weight, (1 + late) * bounds.slack)
+    late = jnp.maximum(steps - BLAND, 0) / 8
+    share = jnp.where(steps < BLAND, bounds.weight, (1 + late) * bounds.slack)
     return share.astype(weights.dtype) * _size(program, basis, weights)
 
 
 def _size(program: Program, basis: Basis, weights: Float[Array, "6 *n"]) -> Float[Array, "*n"]:
     """Of target and free variable together [m/s^2]."""
-    free = jnp.sum(jnp.where(basis.index == FREE, jnp.abs(weights), 0), axis=0)
+    free = jnp.sum(jnp.where(basis.chosen == FREE, jnp.abs(weights), 0), axis=0)
     return program.scale + jnp.max(jnp.abs(program.free), axis=0) * free
 
 
-def _held(program: Program, basis: Basis, weights: Float[Array, "6 *n"], flat: Bool[Array, "*n"], zero) -> Held:
+def _held(
+    program: Program, basis: Basis, weights: Float[Array, "6 *n"], flat: Bool[Array, "*n"], zero: Float[Array, "*n"]
+) -> Held:
     slack = tolerances(program.target.dtype).slack * _size(program, basis, weights)
-    left_over = (basis.index <= UNIT) & (jnp.abs(weights) > jnp.where(flat, slack, zero))
-    missing = jnp.where((basis.index >= 0) & (weights < -zero), -1, jnp.where(left_over, jnp.sign(weights), 0))
+    left_over = (basis.chosen <= UNIT) & (jnp.abs(weights) > jnp.where(flat, slack, zero))
+    missing = jnp.where((basis.chosen >= 0) & (weights < -zero), -1, jnp.where(left_over, jnp.sign(weights), 0))
     return Held(weights, missing, jnp.any(missing != 0, axis=0))
 
 
 def _within_slack(program: Program, basis: Basis, held: Held) -> Bool[Array, "*n"]:
     """Nothing is missing but unit columns' weights, and those by no more than the slack."""
     slack = tolerances(program.target.dtype).slack * _size(program, basis, held.weights)
-    is_ray, is_unit = basis.index >= 0, basis.index <= UNIT
+    is_ray, is_unit = basis.chosen >= 0, basis.chosen <= UNIT
     return ~jnp.any(is_ray & (held.missing != 0) | is_unit & (jnp.abs(held.weights) > slack), axis=0)
 
 
-def _entering(program: Program, normal: Float[Array, "6 *n"], late) -> tuple[Int[Array, "*n"], Bool[Array, "*n"]]:
+def _entering(
+    program: Program, normal: Float[Array, "6 *n"], late: Bool[Array, ""]
+) -> tuple[Int[Array, "*n"], Bool[Array, "*n"]]:
     """The ray that lies farthest outside the face with this normal (late: the first that does), and whether one does."""
     # Stored before it is reduced, or XLA's CPU code computes each product again for every lane of the reduction.
     gain = jax.lax.optimization_barrier(combination(normal, program.rays))
@@ -348,30 +361,34 @@ def _entering(program: Program, normal: Float[Array, "6 *n"], late) -> tuple[Int
     return first_of(gain, jnp.where(late, enough, best)), best > enough
 
 
-def _leaving(basis: Basis, held: Held, direction, late, zero) -> tuple[Bool[Array, "6 *n"], Bool[Array, "*n"]]:
+def _leaving(
+    basis: Basis, held: Held, direction: Float[Array, "6 *n"], late: Bool[Array, ""], zero: Float[Array, "*n"]
+) -> tuple[Bool[Array, "6 *n"], Bool[Array, "*n"]]:
     """The column that has to leave as a ray comes in, of those that come to zero first, and whether there is one."""
-    is_ray, is_unit, missing = basis.index >= 0, basis.index <= UNIT, held.missing != 0
+    is_ray, is_unit, missing = basis.chosen >= 0, basis.chosen <= UNIT, held.missing != 0
     size = jnp.abs(direction)
-    falls = jnp.where(missing, direction * held.weights > 0, is_unit | is_ray & (direction > 0)) & (basis.index != FREE)
-    left = jnp.where(missing, jnp.abs(held.weights), jnp.where(is_unit, 0, jnp.maximum(held.weights, 0)))
-    bland = 1 / (2.0 + jnp.abs(basis.index)).astype(size.dtype)
+    falls = jnp.where(missing, direction * held.weights > 0, is_unit | is_ray & (direction > 0)) & (basis.chosen != FREE)
+    above = jnp.where(missing, jnp.abs(held.weights), jnp.where(is_unit, 0, jnp.maximum(held.weights, 0)))
+    bland = 1 / (2.0 + jnp.abs(basis.chosen)).astype(size.dtype)
     preferred = jnp.where(late, bland, size)
     bound = tolerances(size.dtype).pivot
     large = falls & (size > bound)
     # Where all pivots are small, a small one.
     falls = jnp.where(jnp.any(large, axis=0), large, falls & (size > SMALLER * bound))
-    return leaving_of(falls, left, size, zero, preferred)
+    return leaving_of(falls, above, size, zero, preferred)
 
 
-def leaving_of(falls, left, size, spare, preferred) -> tuple[Bool[Array, "6 *n"], Bool[Array, "*n"]]:
+def leaving_of(
+    falls: Bool[Array, "6 *n"], above: Array, size: Array, spare: Array | float, preferred: Array
+) -> tuple[Bool[Array, "6 *n"], Bool[Array, "*n"]]:
     """The ratio test: which of six columns has to leave, and whether there is one.
 
-    falls: columns that come nearer to zero as the new one comes in. left: how far they are from it. size: how fast they
+    falls: columns that come nearer to zero as the new one comes in. above: how far they are from it. size: how fast they
     fall. spare: how far below zero a weight may come so that a larger pivot can be taken (Harris). preferred: of columns
     that rounding cannot tell apart, the one where this is largest.
     """
     safe = jnp.where(falls, size, 1)
-    within = jnp.min(jnp.where(falls, (left + spare) / safe, jnp.inf), axis=0)
+    within = jnp.min(jnp.where(falls, (above + spare) / safe, jnp.inf), axis=0)
     # Compared as quotients on both sides: a product could round down, and the very column that sets the bound be left out.
-    element, leaving = largest(jnp.where(falls & (left / safe <= within), preferred, 0))
+    element, leaving = largest(jnp.where(falls & (above / safe <= within), preferred, 0))
     return leaving, element > 0

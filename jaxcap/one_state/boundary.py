@@ -55,7 +55,7 @@ class Boundary(NamedTuple):
     """A piecewise linear acceleration over alpha, from alpha = 0 on; convex, as long as it is not negated."""
 
     pieces: Pieces
-    count: Int[Array, ""]
+    used: Int[Array, ""]
     """Number of pieces in use in any lane."""
     end: Float[Array, "*n"]
     """Where the boundary ends [m]: the zero of the acceleration, the polygon's end, or infinity."""
@@ -96,7 +96,7 @@ class Boundary(NamedTuple):
         zero = jnp.zeros_like(energy)
         return self._over_pieces(_ride_piece, None, Ride(energy, zero, zero, jnp.ones_like(zero)))
 
-    def duration(self, start, stop, energy, energy_at_stop) -> Float[Array, "*n"]:
+    def duration(self, start: Array, stop: Array, energy: Array, energy_at_stop: Array) -> Float[Array, "*n"]:
         """Time from alpha = start to a finite stop [s] for a CoM that has these energies there.
 
         The second follows from the first but for rounding, which would show in a CoM that comes to rest.
@@ -115,7 +115,7 @@ class Boundary(NamedTuple):
         """Fold `step(piece, values, state)` over the pieces."""
         at = lambda k, field: jax.lax.dynamic_index_in_dim(field, k, keepdims=False)
         one = lambda k, arguments, state: step(Pieces(*(at(k, field) for field in arguments[0])), arguments[1], state)
-        return bounded_loop(one, len(self.pieces.left), self.count, (self.pieces, values), start)
+        return bounded_loop(one, len(self.pieces.left), self.used, (self.pieces, values), start)
 
 
 class Ride(NamedTuple):
@@ -131,7 +131,7 @@ class Ride(NamedTuple):
     """1 until it has come to rest, then 0."""
 
 
-def _ride_piece(piece: Pieces, _, ride: Ride) -> Ride:
+def _ride_piece(piece: Pieces, _: None, ride: Ride) -> Ride:
     moving = (ride.moving > 0) & (piece.right > piece.left)
     last = jnp.isinf(piece.right)
     right = jnp.where(last, piece.left, piece.right)
@@ -149,7 +149,7 @@ def _ride_piece(piece: Pieces, _, ride: Ride) -> Ride:
     )
 
 
-def piece_gain(piece: Pieces, left, right):
+def piece_gain(piece: Pieces, left: Array, right: Array) -> Array:
     """Energy gained from left to right, both on the piece."""
     return (right - left) * (piece.intercept + piece.slope * (left + right) / 2)
 

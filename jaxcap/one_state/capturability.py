@@ -5,38 +5,49 @@ import numpy as np
 from jaxtyping import Array, Num
 
 from jaxcap.contacts.cone import CentroidalCone, ConeRays
-from jaxcap.contacts.conventions import GRAVITY, FloatArray
+from jaxcap.contacts.conventions import GRAVITY, ArrayLike, checked_gravity
+from jaxcap.contacts.scoring_input import check_cone, relative
 from jaxcap.one_state.decision import capturability_at
-from jaxcap.one_state.line import travel_of_lanes
+from jaxcap.one_state.line import motion_of_lanes
 from jaxcap.one_state.result import Capturability
 
 
 def capturability(
-    cone: CentroidalCone | ConeRays, com: Num[FloatArray, "3"], com_velocity: Num[FloatArray, "3"], gravity=GRAVITY
+    cone: CentroidalCone | ConeRays, com: ArrayLike, com_velocity: ArrayLike, gravity: ArrayLike = GRAVITY
 ) -> Capturability:
     """Can the robot come to rest without moving a contact, its CoM decelerating along its own velocity?
 
-    cone: from `centroidal_cone` or `cone_rays`; with rays, the answer is also differentiable in the contacts. com: (3,) [m],
-    com_velocity: (3,) [m/s], gravity: (3,) [m/s^2], all in the contacts' frame, z up. The dtype of `com` decides the
-    precision. One state, pure: works under jit, vmap, jacfwd, jacrev and grad; `score` is much faster for many. Compiled at
-    the first call for each number of faces or rays. Never raises for the values of a state: see `Status`. Raises TypeError
-    for a wrong shape.
+    One state, pure: works under jit, vmap, jacfwd, jacrev and grad; `score` is much faster for many. Compiled at the first
+    call for each number of faces or rays. Never raises for the values of a state: see `Status`.
+
+    Args:
+        cone: from `centroidal_cone` or `cone_rays`; with rays, the answer is also differentiable in the contacts.
+        com: (3,) [m], in the contacts' frame, z up. Its dtype decides the precision; NumPy's positions far from the origin
+            lose nothing, for the contacts' centroid is subtracted before they are rounded.
+        com_velocity: (3,) [m/s].
+        gravity: (3,) [m/s^2].
+
+    Returns:
+        The verdict, how it ends, margins [m/s], and the way to the stop.
+
+    Raises:
+        TypeError: for a wrong shape, or contacts in place of a cone.
 
     Source: Section III, Algorithms 1 and 2, with the energy in place of time; C3.3, which the paper leaves open, by swings.
     """
     # NumPy arrays go to the compiled program as they are: to make JAX's of them first takes longer than the answer.
-    com, com_velocity = (x if isinstance(x, jax.Array) else np.asarray(x) for x in (com, com_velocity))
-    for name, value in (("com", com), ("com_velocity", com_velocity)):
+    check_cone(cone)
+    checked_gravity(gravity, finite=False)
+    position, velocity = (x if isinstance(x, jax.Array) else np.asarray(x) for x in (com, com_velocity))
+    for name, value in (("com", position), ("com_velocity", velocity)):
         if value.shape != (3,):
             raise TypeError(f"{name} has shape {value.shape} (expected (3,); `score` takes many states)")
-    return capturability_of_lanes(cone, com, com_velocity, gravity)
+    return capturability_of_lanes(*relative(cone, position), velocity, gravity)
 
 
 @jax.jit
 def capturability_of_lanes(
-    cone: CentroidalCone | ConeRays, com: Num[Array, "3 *n"], com_velocity: Num[Array, "3 *n"], gravity
+    cone: CentroidalCone | ConeRays, com: Num[Array, "3 *n"], com_velocity: Num[Array, "3 *n"], gravity: ArrayLike
 ) -> Capturability:
     """`capturability` of states side by side, lanes last."""
-    return capturability_at(*travel_of_lanes(cone, com, com_velocity, gravity))
-
-
+    return capturability_at(motion_of_lanes(cone, com, com_velocity, gravity))

@@ -13,7 +13,7 @@ from jaxtyping import Array, Bool, Float, Num
 
 from jaxcap.numerics.guarded import root, select
 from jaxcap.one_state.boundary import End
-from jaxcap.one_state.line import Line
+from jaxcap.one_state.line import Line, Motion
 from jaxcap.one_state.reach import reach_time
 from jaxcap.one_state.result import Capturability, Case, Status
 from jaxcap.one_state.swings import farthest_rest, swing
@@ -22,6 +22,7 @@ LIMITS = ("min_speed", "max_speed")
 """Fields that do not depend on the speed."""
 WALKED = ("status", "paper_margin", "distance", "time", "residual_speed")
 """Fields for which the motion itself is followed; the others are comparisons of the speed with a few numbers."""
+
 
 class Speeds(NamedTuple):
     """Where case and verdict change with the speed along a line [m/s]; infinite where they do not."""
@@ -40,21 +41,27 @@ class Speeds(NamedTuple):
     """False where a boundary has more pieces than are walked."""
 
 
-def capturability_along(
-    line: Line, _, finite: Bool[Array, "*n"], speeds: Num[Array, "k"], fields: tuple[str, ...]
-) -> dict[str, Array]:
-    """Fields of `capturability` of lines of travel side by side, lanes last, at every one of k speeds [m/s], >= 0.
+def capturability_at(motion: Motion) -> Capturability:
+    """`capturability` of motions side by side, lanes last."""
+    return _answer(motion, _speeds(motion.line))
 
-    `LIMITS` have shape (*n), the other fields (k, *n). Polygon, survey and walk are made once for all speeds. At speed zero
-    the answer is that of a zero velocity, but for `LIMITS`, which are those of the direction.
+
+def capturability_along(motion: Motion, speeds: Num[Array, "k"], fields: tuple[str, ...]) -> dict[str, Array]:
+    """Fields of `capturability` on lines of travel side by side, lanes last, at every one of k speeds [m/s], >= 0.
+
+    motion: its speed does not matter. `LIMITS` have shape (*n), the other fields (k, *n). Polygon, survey and walk are made
+    once for all speeds. At speed zero the answer is that of a zero velocity, but for `LIMITS`, which are those of the
+    direction.
     """
+    line, finite = motion.line, motion.finite
     limits = _speeds(line)
 
     def at(speed):
         known = finite & jnp.isfinite(speed)
         speed = jnp.where(known, speed, 0)
         rests = known & (speed == 0)
-        answer = jax.tree.map(functools.partial(jnp.where, rests), _still(line), _answer(line, limits, speed, known))
+        moving = _answer(Motion(line, speed, known), limits)
+        answer = jax.tree.map(functools.partial(jnp.where, rests), _still(line), moving)
         return {name: getattr(answer, name) for name in fields if name not in LIMITS}
 
     # Where each speed has loops of its own, side by side all would take as long as the slowest, and skip nothing.
@@ -62,11 +69,6 @@ def capturability_along(
     largest = {"min_speed": limits.smallest, "max_speed": limits.largest}
     answers |= {name: jnp.where(finite & limits.known, largest[name], jnp.nan) for name in LIMITS if name in fields}
     return answers
-
-
-def capturability_at(line: Line, speed: Float[Array, "*n"], finite: Bool[Array, "*n"]) -> Capturability:
-    """`capturability` of lines of travel side by side, each at its speed."""
-    return _answer(line, _speeds(line), speed, finite)
 
 
 def _speeds(line: Line) -> Speeds:
@@ -88,7 +90,7 @@ def _speeds(line: Line) -> Speeds:
     return Speeds(jnp.where(some, smallest, 0), before, inside, jnp.where(some, largest, 0), stops, known)
 
 
-def _case(line: Line, speeds: Speeds, speed):
+def _case(line: Line, speeds: Speeds, speed: Array) -> Array:
     """The leaf of the decision tree (Fig. 3)."""
     return select(
         [
@@ -131,39 +133,57 @@ def _still(line: Line) -> Capturability:
     )
 
 
-def _answer(line: Line, speeds: Speeds, speed, finite) -> Capturability:
-    case = _case(line, speeds, speed)
-    moving, lower = speed > 0, line.lower
-    # Where no speed is capturable the margin is minus the whole speed: `largest` is zero.
-    margin = jnp.minimum(speeds.largest - speed, jnp.where(line.ahead, speed - speeds.smallest, jnp.inf))
-    capturable = jnp.where(moving, margin >= 0, line.survey.standing)
+class _Way(NamedTuple):
+    """How the CoM comes to rest, or does not."""
 
-    energy = speed * speed / 2
+    stop: Float[Array, "*n"]
+    """Length of the path to the stop [m]."""
+    duration: Float[Array, "*n"]
+    """[s]"""
+    deceleration: Float[Array, "*n"]
+    """The largest at the stop of maximum deceleration [m/s^2]."""
+    residual: Float[Array, "*n"]
+    """Speed that is left where there is no stop [m/s]."""
+    swinging: Bool[Array, "*n"]
+    """It still swings at the bound on swings."""
+
+
+def _way(line: Line, speeds: Speeds, speed: Array, case: Array) -> _Way:
+    """The motion itself, followed to its end."""
+    lower, energy = line.lower, speed * speed / 2
     at_once = lower.ending == End.FLOORLESS
     ride = lower.ride(jnp.where(at_once, 0, energy))
-    stop = ride.alpha
-    reaching = case == Case.C3_2_1
+    reaching, swung = case == Case.C3_2_1, case == Case.C3_3
     reached = reach_time(lower, line.upper, line.survey.s_min, energy, reaching)
-    swings = swing(line.polygon, line.survey.s_min, line.survey.s_max, ride, (case == Case.C3_3) & moving)
+    swings = swing(line.polygon, line.survey.s_min, line.survey.s_max, ride, swung & (speed > 0))
     gain, stops = lower.gain(lower.end), jnp.where(jnp.isfinite(speeds.stops), speeds.stops, speed)
     # speed^2 + 2 gain, in the form without cancellation where the walk nearly stops
     excess = jnp.where(gain > 0, speed * speed + 2 * gain, (speed - stops) * (speed + stops))
     residual = jnp.where(line.survey.feasible, root(excess), speed)
-    residual = jnp.where(case == Case.C3_3, swings.residual_speed, residual)
-    deceleration = jnp.where(at_once, jnp.inf, -lower.at(stop))
+    return _Way(
+        stop=jnp.where(swung, swings.distance, jnp.where(reaching, line.survey.s_min, ride.alpha)),
+        duration=jnp.where(swung, swings.time, jnp.where(reaching, reached, ride.time)),
+        deceleration=jnp.where(at_once, jnp.inf, -lower.at(ride.alpha)),
+        residual=jnp.where(swung, swings.residual_speed, residual),
+        swinging=swings.swinging,
+    )
 
+
+def _answer(motion: Motion, speeds: Speeds) -> Capturability:
+    line, speed, finite = motion
+    case, moving = _case(line, speeds, speed), speed > 0
+    # Where no speed is capturable the margin is minus the whole speed: `largest` is zero.
+    margin = jnp.minimum(speeds.largest - speed, jnp.where(line.ahead, speed - speeds.smallest, jnp.inf))
+    way = _way(line, speeds, speed, case)
     status = select(
-        [~finite, ~speeds.known, ~moving, swings.swinging],
+        [~finite, ~speeds.known, ~moving, way.swinging],
         [Status.NONFINITE, Status.MAX_STEPS, Status.NO_DIRECTION, Status.MAX_SWINGS],
         Status.OK,
     )
     decided = finite & speeds.known
-    capturable &= decided
-    figure = lambda known, value: jnp.where(decided & known, value, jnp.nan)
+    capturable = jnp.where(moving, margin >= 0, line.survey.standing) & decided
     stopped = capturable & (status != Status.MAX_SWINGS)
-    swung = case == Case.C3_3
-    path = jnp.where(swung, swings.distance, jnp.where(reaching, line.survey.s_min, stop))
-    duration = jnp.where(swung, swings.time, jnp.where(reaching, reached, ride.time))
+    figure = lambda known, value: jnp.where(decided & known, value, jnp.nan)
     return Capturability(
         capturable=capturable,
         case=jnp.where(decided, case, Case.UNDECIDED).astype(jnp.int8),
@@ -171,8 +191,9 @@ def _answer(line: Line, speeds: Speeds, speed, finite) -> Capturability:
         margin=figure(moving, margin),
         min_speed=figure(moving, speeds.smallest),
         max_speed=figure(moving, speeds.largest),
-        paper_margin=figure(moving, jnp.where(capturable, deceleration, 0 - residual)),
-        distance=figure(stopped, path),
-        time=figure(stopped, duration),
-        residual_speed=figure(True, jnp.where(capturable, 0, residual)),
+        # 0 - residual: minus zero would show in a file
+        paper_margin=figure(moving, jnp.where(capturable, way.deceleration, 0 - way.residual)),
+        distance=figure(stopped, way.stop),
+        time=figure(stopped, way.duration),
+        residual_speed=figure(True, jnp.where(capturable, 0, way.residual)),
     )

@@ -5,7 +5,7 @@ arrays in memory and ten times slower where it has to compute them on the way.
 """
 
 import functools
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -15,7 +15,7 @@ from jaxcap.contacts.cone import CentroidalCone
 from jaxcap.numerics.guarded import ratio, snapped, without_noise
 from jaxcap.one_state.boundary import Boundary
 from jaxcap.one_state.polygon import Survey
-from jaxcap.one_state.walk import Line, Next, moved, walk
+from jaxcap.one_state.walk import Affine, Next, moved, walk
 from jaxcap.one_state.wrench_line import WrenchLine, wrench_line
 
 
@@ -44,7 +44,7 @@ class Polygon(NamedTuple):
         """With the acceleration's sign turned: its lower boundary is minus the upper boundary of this one."""
         return _stored(self._replace(on_acceleration=-self.on_acceleration, start=()))
 
-    def seen_from(self, start: Float[Array, "*n"], heading) -> "Polygon":
+    def seen_from(self, start: Float[Array, "*n"], heading: int | Float[Array, ""]) -> "Polygon":
         """With alpha counted from `start`, onwards (heading +1) or back (-1); so is the acceleration."""
         return _stored(
             self._replace(
@@ -59,7 +59,7 @@ class Polygon(NamedTuple):
         """The same, with what its survey has found: ready to be walked."""
         return self._replace(start=survey.start)
 
-    def survey(self, near=None) -> Survey:
+    def survey(self, near: Any = None) -> Survey:
         """Static region, and polygon at alpha = 0. near: not used, faces are surveyed as fast from anywhere."""
         on_acceleration, on_alpha, bound = self[:3]
         static, values = jax.lax.optimization_barrier((ratio(bound, on_alpha), ratio(bound, on_acceleration)))
@@ -83,10 +83,16 @@ class Polygon(NamedTuple):
             pulled_back=jnp.maximum(lowest, highest) < 0,
             known=jnp.ones(standing.shape, bool),
             hangs=(s_above <= ahead) & (ahead < jnp.inf),
-            start=(lowest, s_other),   # without a lowest, no other rows are left but walls
+            start=(lowest, s_other),  # without a lowest, no other rows are left but walls
         )
 
-    def boundary(self, limit: Float[Array, "*n"], rising: bool = False, most: int | None = None, enough=None) -> Boundary:
+    def boundary(
+        self,
+        limit: Float[Array, "*n"],
+        rising: bool = False,
+        most: int | None = None,
+        enough: Float[Array, "*n"] | None = None,
+    ) -> Boundary:
         """The lower boundary, as `Producer` has it."""
         return _boundary(self, *jax.lax.stop_gradient((limit.astype(self.bound.dtype), enough)), rising, most)
 
@@ -98,7 +104,7 @@ def polygon(
 
     com: [m]. along: unit vectors (zero: every row bounds nothing, or forbids everything). gravity: [m/s^2].
     """
-    faces = jnp.asarray(cone.padded(1).faces, com.dtype)   # a cone that is all of space has no face
+    faces = jnp.asarray(cone.padded(1).faces, com.dtype)  # a cone that is all of space has no face
     line = wrench_line(cone.origin, cone.length, com, along, gravity)
     wrenches = jnp.stack([line.per_acceleration, line.per_alpha, line.across], axis=1)
     rows = jnp.tensordot(faces, wrenches, axes=1, precision=jax.lax.Precision.HIGHEST)
@@ -112,8 +118,8 @@ def polygon(
             on_alpha=without_noise(rows[:, 1], line.slack * steepest),
             bound=snapped(rows[:, 2] + on_acceleration * line.fall, line.slack * line.weight),
             line=line,
-            top=(line.reach, steepest),
-            size=line.length * line.reach,
+            top=(line.remoteness, steepest),
+            size=line.length * line.remoteness,
         )
     )
 
@@ -129,7 +135,7 @@ def _stored(rows: Polygon) -> Polygon:
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(3, 4))
-def _boundary(rows: Polygon, limit: Float[Array, "*n"], enough, rising: bool, most: int | None) -> Boundary:
+def _boundary(rows: Polygon, limit: Float[Array, "*n"], enough: Array | None, rising: bool, most: int | None) -> Boundary:
     lower = rows.on_acceleration < 0
     # Rows that do not bound the acceleration from below get an infinite slope: a walk that meets them is at its end.
     slopes = jnp.where(lower, -ratio(rows.on_alpha, rows.on_acceleration), jnp.inf)
@@ -138,16 +144,16 @@ def _boundary(rows: Polygon, limit: Float[Array, "*n"], enough, rising: bool, mo
     value, wall = rows.start if rows.start else (jnp.max(values, axis=0), _wall(rows))
     slope = jnp.max(jnp.where(values == value, slopes, -jnp.inf), axis=0)
     follow = lambda alpha, line, _: _follow(rows, slopes, alpha, line)
-    return walk(follow, Line(value, slope), (), value == -jnp.inf, wall, limit, rising, most, enough)[0]
+    return walk(follow, Affine(value, slope), (), value == -jnp.inf, wall, limit, rising, most, enough)[0]
 
 
-def _wall(rows: Polygon):
+def _wall(rows: Polygon) -> Float[Array, "*n"]:
     """Where the polygon ends, as far as rows on alpha alone say."""
     walls = (rows.on_acceleration == 0) & (rows.on_alpha > 0)
     return jnp.min(jnp.where(walls, ratio(rows.bound, rows.on_alpha), jnp.inf), axis=0)
 
 
-def _crossings(rows: Polygon, intercept, slope):
+def _crossings(rows: Polygon, intercept: Array, slope: Array) -> Float[Array, "m *n"]:
     """Where each row ends a line (m, *n): on it, a row allows alpha <= (bound - on_acceleration intercept) / rate.
 
     Infinity where it does not: where the rate is zero, or no more than rounding error.
@@ -157,12 +163,12 @@ def _crossings(rows: Polygon, intercept, slope):
     return jnp.where(crosses, (rows.bound - rows.on_acceleration * intercept) / jnp.where(crosses, rate, 1), jnp.inf)
 
 
-def _follow(rows: Polygon, slopes, alpha, line: Line) -> Next:
+def _follow(rows: Polygon, slopes: Array, alpha: Array, line: Affine) -> Next:
     """The row that ends a line, and the line of that row. A pivot of the dual simplex."""
     at = jax.lax.optimization_barrier(_crossings(rows, *line))
     end = jnp.maximum(alpha, jnp.min(at, axis=0))
-    slope = jnp.max(jnp.where(at <= end, slopes, -jnp.inf), axis=0)   # of several rows, the steepest
-    return Next(end, slope == jnp.inf, Line(line.intercept + (line.slope - slope) * end, slope), ())
+    slope = jnp.max(jnp.where(at <= end, slopes, -jnp.inf), axis=0)  # of several rows, the steepest
+    return Next(end, slope == jnp.inf, Affine(line.intercept + (line.slope - slope) * end, slope), ())
 
 
 @_boundary.defjvp
@@ -184,7 +190,7 @@ def _boundary_jvp(rising, most, primals, tangents):
     at_active = lambda values: jnp.take_along_axis(values, active, axis=0)
     real = pieces.right > pieces.left
     per_row = lambda amount: jnp.where(real, ratio(amount, at_active(rows.on_acceleration)), 0)
-    lines = Line(
+    lines = Affine(
         intercept=per_row(at_active(change.bound) - pieces.intercept * at_active(change.on_acceleration)),
         slope=per_row(-at_active(change.on_alpha) - pieces.slope * at_active(change.on_acceleration)),
     )

@@ -1,15 +1,16 @@
 """A state's line of travel: the polygon cut along it, its survey, and the walk along its boundaries.
 
-Everything here is independent of the speed. Arrays carry their lanes last.
+Everything here but the speed itself is independent of the speed. Arrays carry their lanes last.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int8, Num
 
 from jaxcap.contacts.cone import CentroidalCone, ConeRays
+from jaxcap.contacts.conventions import GRAVITY, ArrayLike
 from jaxcap.numerics.guarded import direction, tolerances
 from jaxcap.one_state.boundary import Boundary, End
 from jaxcap.one_state.face_polygon import polygon
@@ -18,6 +19,13 @@ from jaxcap.one_state.ray_polygon import ray_polygon
 
 QUICK = 2
 """Pieces of the lower boundary that the quick round walks: all there are for two states of three."""
+
+
+FASTEST = 3e8
+"""A state that is faster [m/s] is none of a robot, and its energy is beyond what the precision holds."""
+FARTHEST = 0.1
+"""A CoM is too far from the contacts where rounding of its weight's torque is worth more than this part of their size."""
+
 
 class Line(NamedTuple):
     """The line of travel and the walk along it: everything that does not depend on the speed."""
@@ -32,70 +40,93 @@ class Line(NamedTuple):
     """Smallest acceleration, to its end."""
     upper: Boundary
     """Minus the largest acceleration, to s_min, where the static region is `ahead`."""
-    left: Int8[Array, "*n"]
-    """What a quick look has left out: bits for the lower boundary's end, the way ahead, the way back; zero for nothing."""
+    skipped: Int8[Array, "*n"]
+    """What a quick look left out: bits for the lower boundary's end, the way ahead, the way back; zero for nothing."""
 
 
-def travel_of_lanes(
+class Motion(NamedTuple):
+    """A CoM on its line of travel."""
+
+    line: Line
+    speed: Float[Array, "*n"]
+    """[m/s], >= 0."""
+    finite: Bool[Array, "*n"]
+    """False where the state, its contacts or gravity hold NaN or infinity, or what the precision cannot hold; the line is
+    then that of another state."""
+
+
+class _Cut(NamedTuple):
+    """A state's polygon along its velocity."""
+
+    polygon: Producer
+    speed: Float[Array, "*n"]
+    finite: Bool[Array, "*n"]
+
+
+def motion_of_lanes(
     cone: CentroidalCone | ConeRays,
     com: Num[Array, "3 *n"],
     com_velocity: Num[Array, "3 *n"],
-    gravity,
+    gravity: ArrayLike,
     survey: Survey | None = None,
     quick: bool = False,
-) -> tuple[Line, Float[Array, "*n"], Bool[Array, "*n"]]:
-    """Lines of travel side by side, lanes last; the speed along each, and whether the state is finite.
+) -> Motion:
+    """States side by side, lanes last, on their lines of travel.
 
-    survey: from `survey_of_lanes`, if it is known. quick: only what most states need; `Line.left` says which need more.
+    survey: from `survey_of_lanes`, if it is known. quick: only what most states need; `Line.skipped` says which need more.
     """
-    polygon, speed, finite = _polygon(cone, com, com_velocity, gravity)
-    look = _glance if quick else _line
-    return look(polygon, polygon.survey() if survey is None else survey), speed, finite
+    cut = _cut(cone, com, com_velocity, gravity)
+    line = _line(cut.polygon, cut.polygon.survey() if survey is None else survey, quick)
+    return Motion(line, cut.speed, cut.finite)
 
 
 @jax.jit
 def survey_of_lanes(
-    cone: CentroidalCone | ConeRays, com: Num[Array, "3 *n"], com_velocity: Num[Array, "3 *n"], gravity, near=None
+    cone: CentroidalCone | ConeRays,
+    com: Num[Array, "3 *n"],
+    com_velocity: Num[Array, "3 *n"],
+    gravity: ArrayLike,
+    near: Any = None,
 ) -> Survey:
-    """The first part of `travel_of_lanes`, which every state needs. near: `Survey.near` of similar states."""
-    return _polygon(cone, com, com_velocity, gravity)[0].survey(near)
+    """The first part of `motion_of_lanes`, which every state needs. near: `Survey.near` of similar states."""
+    return _cut(cone, com, com_velocity, gravity).polygon.survey(near)
 
 
-def _polygon(cone, com, com_velocity, gravity):
-    """Polygon, speed, and whether the state is finite."""
+def _cut(cone: CentroidalCone | ConeRays, com: Array, com_velocity: Array, gravity: ArrayLike) -> _Cut:
     dtype = jnp.promote_types(jnp.result_type(com, com_velocity), jnp.float32)
-    com, com_velocity = com.astype(dtype), com_velocity.astype(dtype)
-    finite = jnp.all(jnp.isfinite(com) & jnp.isfinite(com_velocity), axis=0)
-    if isinstance(cone, ConeRays):
-        finite &= jnp.all(jnp.isfinite(cone.rays), axis=(0, 1))
+    com, com_velocity, pull = com.astype(dtype), com_velocity.astype(dtype), jnp.asarray(gravity, dtype)
+    pulls = jnp.all(jnp.isfinite(pull))
+    finite = jnp.all(jnp.isfinite(com) & jnp.isfinite(com_velocity), axis=0) & pulls & _finite_cone(cone)
     along, speed = direction(jnp.where(finite, com_velocity, 0))
-    cut = ray_polygon if isinstance(cone, ConeRays) else polygon
-    return cut(cone, jnp.where(finite, com, 0), along, jnp.asarray(gravity, dtype)), speed, finite
+    cut: Any = ray_polygon if isinstance(cone, ConeRays) else polygon
+    # What is not finite gives way to numbers, of which the walk can make sense.
+    found = cut(cone, jnp.where(finite, com, 0), along, jnp.where(pulls, pull, jnp.asarray(GRAVITY, dtype)))
+    near = tolerances(dtype).slack * found.size <= FARTHEST * jnp.asarray(cone.length, dtype)
+    return _Cut(found, speed, finite & near & (speed <= FASTEST))
 
 
-def _line(polygon: Producer, survey: Survey) -> Line:
+def _finite_cone(cone: CentroidalCone | ConeRays) -> Bool[Array, "*n"]:
+    """Whether faces or rays are numbers, lane by lane."""
+    rows = cone.rays if isinstance(cone, ConeRays) else jnp.asarray(cone.faces)
+    return jnp.all(jnp.isfinite(rows), axis=(0, 1)) & jnp.all(jnp.isfinite(jnp.asarray(cone.origin)), axis=0)
+
+
+def _line(polygon: Producer, survey: Survey, quick: bool) -> Line:
+    """quick: without what only some states need, a lower boundary of more than a few pieces, an upper one, swings."""
     polygon = polygon.knowing(survey)
     standing = survey.standing & survey.feasible
-    lower = polygon.boundary(jnp.where(survey.feasible, jnp.inf, 0))
+    lower = polygon.boundary(jnp.where(survey.feasible, jnp.inf, 0), most=QUICK if quick else None)
     ahead = standing & (survey.s_min > 0) & survey.pulled_back
+    same_alpha = tolerances(survey.s_max.dtype).same_alpha * polygon.size
+    hanging = standing & (lower.ending != End.DIVERGES) & (survey.s_max < lower.end - same_alpha)
+    if quick:
+        unfinished = lower.ending == End.MAX_PIECES
+        # Without the end of the lower boundary, what ends the static region says whether the polygon may go on beyond it.
+        hanging = jnp.where(unfinished, standing & survey.hangs, hanging)
+        skipped = (unfinished + 2 * ahead + 4 * hanging).astype(jnp.int8)
+        none = jnp.zeros_like(ahead)
+        return Line(polygon, survey, none, none, lower, jax.tree.map(jnp.zeros_like, lower), skipped)
     skip = lambda polygon, limit: jax.tree.map(jnp.zeros_like, lower)
     walk_up = lambda polygon, limit: polygon.flipped().boundary(limit)
     upper = jax.lax.cond(jnp.any(ahead), walk_up, skip, polygon, jnp.where(ahead, survey.s_min, 0))
-    same_alpha = tolerances(survey.s_max.dtype).same_alpha * polygon.size
-    hanging = standing & (lower.ending != End.DIVERGES) & (survey.s_max < lower.end - same_alpha)
     return Line(polygon, survey, ahead, hanging, lower, upper, jnp.zeros(ahead.shape, jnp.int8))
-
-
-def _glance(polygon: Producer, survey: Survey) -> Line:
-    """The line without what only some states need: a lower boundary of more than a few pieces, an upper one, swings."""
-    polygon = polygon.knowing(survey)
-    standing = survey.standing & survey.feasible
-    lower = polygon.boundary(jnp.where(survey.feasible, jnp.inf, 0), most=QUICK)
-    unfinished = lower.ending == End.MAX_PIECES
-    same_alpha = tolerances(survey.s_max.dtype).same_alpha * polygon.size
-    ahead = standing & (survey.s_min > 0) & survey.pulled_back
-    hanging = standing & (lower.ending != End.DIVERGES) & (survey.s_max < lower.end - same_alpha)
-    hanging = jnp.where(unfinished, standing & survey.hangs, hanging)
-    left = (unfinished + 2 * ahead + 4 * hanging).astype(jnp.int8)
-    nowhere, none = jax.tree.map(jnp.zeros_like, lower), jnp.zeros_like(ahead)
-    return Line(polygon, survey, none, none, lower, nowhere, left)

@@ -35,16 +35,23 @@ class Survey(NamedTuple):
 class Producer(Protocol):
     """The (alpha, acceleration) polygon of one state, whatever it is made of: all that verdict and margins need of it."""
 
-    size: Float[Array, "*n"]
-    """Scale of alpha [m]: size of the stance plus the CoM's distance from it."""
+    @property
+    def size(self) -> Float[Array, "*n"]:
+        """Scale of alpha [m]: size of the stance plus the CoM's distance from it."""
 
-    def survey(self, near=None) -> Survey:
+    def survey(self, near: Any = None) -> Survey:
         """Static region, and polygon at alpha = 0. near: `Survey.near` of a similar state."""
 
     def knowing(self, survey: Survey) -> "Producer":
         """The same, with what its survey has found: ready to be walked."""
 
-    def boundary(self, limit: Float[Array, "*n"], rising: bool = False, most: int | None = None, enough=None) -> Boundary:
+    def boundary(
+        self,
+        limit: Float[Array, "*n"],
+        rising: bool = False,
+        most: int | None = None,
+        enough: Float[Array, "*n"] | None = None,
+    ) -> Boundary:
         """The lower boundary from alpha = 0, where the polygon must be feasible, to where it turns non-negative while
         rising (C1; not with `rising`), to the polygon's right end (C2), or a little beyond `limit` at most, or beyond where
         it has taken the energy `enough` [m^2/s^2] from the CoM.
@@ -55,5 +62,5 @@ class Producer(Protocol):
     def flipped(self) -> "Producer":
         """With the acceleration's sign turned: its lower boundary is minus the upper boundary of this one."""
 
-    def seen_from(self, start: Float[Array, "*n"], heading) -> "Producer":
+    def seen_from(self, start: Float[Array, "*n"], heading: int | Float[Array, ""]) -> "Producer":
         """With alpha counted from `start`, onwards (heading +1) or back (-1); so is the acceleration."""

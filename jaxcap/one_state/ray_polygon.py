@@ -5,7 +5,8 @@ end, and one pivot of the dual simplex the next line, which is (27)-(29) without
 """
 
 import functools
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -17,7 +18,7 @@ from jaxcap.numerics.guarded import ratio, snapped, tolerances, without_noise
 from jaxcap.numerics.simplex import FREE, UNIT, Basis, Outcome, Program
 from jaxcap.one_state.boundary import Boundary, End
 from jaxcap.one_state.polygon import Survey
-from jaxcap.one_state.walk import Line, Next, moved, walk
+from jaxcap.one_state.walk import Affine, Next, moved, walk
 from jaxcap.one_state.wrench_line import WrenchLine, wrench_line
 
 
@@ -76,19 +77,26 @@ class RayPolygon(NamedTuple):
     start: Basis | None = None
     """Of the smallest acceleration at alpha = 0, or of a place nearby."""
 
+    @property
+    def ready(self) -> Basis:
+        """`start`, of a polygon that knows its survey: only such a one is walked, turned or moved."""
+        assert self.start is not None, "the polygon is used before it knows its survey"
+        return self.start
+
     def knowing(self, survey: Survey) -> "RayPolygon":
         """The same, with a basis to start from."""
         return self._replace(start=survey.start)
 
     def flipped(self) -> "RayPolygon":
         """With the acceleration's sign turned: its lower boundary is minus the upper boundary of this one."""
-        turned = {"per_acceleration": -self.per_acceleration, "forward": -self.forward, "fall": -self.fall}
-        return self._replace(**turned, start=_turned(self.start))
+        return self._replace(
+            per_acceleration=-self.per_acceleration, forward=-self.forward, fall=-self.fall, start=_turned(self.ready)
+        )
 
-    def seen_from(self, start: Float[Array, "*n"], heading) -> "RayPolygon":
+    def seen_from(self, start: Float[Array, "*n"], heading: int | Float[Array, ""]) -> "RayPolygon":
         """With alpha counted from `start`, onwards (heading +1) or back (-1); so is the acceleration."""
-        turned = _turned(self.start)
-        inverse = jnp.where(jnp.asarray(heading) > 0, self.start.inverse, turned.inverse)
+        turned = _turned(self.ready)
+        inverse = jnp.where(jnp.asarray(heading) > 0, self.ready.inverse, turned.inverse)
         return self._replace(
             per_acceleration=heading * self.per_acceleration,
             forward=heading * self.forward,
@@ -96,7 +104,7 @@ class RayPolygon(NamedTuple):
             at_rest=self.at_rest.moved(self.per_alpha * start),
             falling=self.falling.moved(self.per_alpha * start),
             fall=heading * self.fall,
-            start=Basis(self.start.index, inverse),
+            start=Basis(self.ready.chosen, inverse),
         )
 
     def survey(self, near: "Bases | None" = None) -> Survey:
@@ -114,7 +122,7 @@ class RayPolygon(NamedTuple):
         begin = _turned(first.basis) if near is None else simplex.renewed(most, near.most)
         second = simplex.solve(most, begin, standing & feasible)
         bounded = lambda sign, found: jnp.where(
-            (found.outcome == Outcome.OPTIMAL) & jnp.any(found.basis.index == FREE, axis=0),
+            (found.outcome == Outcome.OPTIMAL) & jnp.any(found.basis.chosen == FREE, axis=0),
             _place(self, sign, found.basis),
             -jnp.inf,
         )
@@ -140,7 +148,13 @@ class RayPolygon(NamedTuple):
             start=simplex.improved(lowest, start.basis),
         )
 
-    def boundary(self, limit: Float[Array, "*n"], rising: bool = False, most: int | None = None, enough=None) -> Boundary:
+    def boundary(
+        self,
+        limit: Float[Array, "*n"],
+        rising: bool = False,
+        most: int | None = None,
+        enough: Float[Array, "*n"] | None = None,
+    ) -> Boundary:
         """The lower boundary, as `Producer` has it."""
         return _boundary(self, *jax.lax.stop_gradient((limit.astype(self.fall.dtype), enough)), rising, most)
 
@@ -164,11 +178,11 @@ def ray_polygon(
     line = wrench_line(rays.origin, rays.length, com, along, gravity)
     scaled = lambda wrench: jnp.concatenate([wrench[:3], wrench[3:] / line.length])
     columns = jnp.swapaxes(jnp.asarray(rays.rays, com.dtype), 0, 1)
-    columns = columns.reshape(*columns.shape, *[1] * (com.ndim + 1 - columns.ndim))   # one set for all lanes
+    columns = columns.reshape(*columns.shape, *[1] * (com.ndim + 1 - columns.ndim))  # one set for all lanes
     columns = jax.lax.optimization_barrier(scaled(columns))
     steepest, into = line.weight / line.length, simplex.mixture(columns)
 
-    def load(wrench, size):
+    def load(wrench: Array, size: Array) -> Load:
         # A vertical line has nothing across it; but ties have to be broken there too.
         slack = line.slack * jnp.maximum(size, bounds.slack * line.weight)
         return Load(-scaled(wrench), slack * into - scaled(wrench), slack / bounds.slack)
@@ -184,39 +198,43 @@ def ray_polygon(
         fall=line.fall,
         line=line,
         steepest=steepest,
-        size=line.length * line.reach,
+        size=line.length * line.remoteness,
     )
 
 
 def _turned(basis: Basis) -> Basis:
     """The basis with the free variable's column turned round."""
-    return basis._replace(inverse=jnp.where((basis.index == FREE)[:, None], -basis.inverse, basis.inverse))
+    return basis._replace(inverse=jnp.where((basis.chosen == FREE)[:, None], -basis.inverse, basis.inverse))
 
 
 def _normal(basis: Basis) -> Float[Array, "6 *n"]:
     """Of the face through the basis, pointing outwards, scaled such that its product with the free column is 1."""
-    return simplex.combination((basis.index == FREE).astype(basis.inverse.dtype), basis.inverse)
+    return simplex.combination((basis.chosen == FREE).astype(basis.inverse.dtype), basis.inverse)
 
 
 def _place(polygon: RayPolygon, sign: int, basis: Basis) -> Float[Array, "*n"]:
     """The free variable of `standing(sign)` where the basis meets the weight itself; zero where that is all slack."""
-    normal, matrix = _normal(basis), simplex.columns(polygon.standing(sign), basis.index)
+    normal, matrix = _normal(basis), simplex.columns(polygon.standing(sign), basis.chosen)
     held = simplex.weights(basis.inverse, matrix, polygon.at_rest.wrench)
     noise = polygon.line.slack * polygon.line.weight * jnp.max(jnp.abs(normal), axis=0)
-    return snapped(jnp.sum(jnp.where(basis.index == FREE, held, 0), axis=0), noise)
+    return snapped(jnp.sum(jnp.where(basis.chosen == FREE, held, 0), axis=0), noise)
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(3, 4))
-def _boundary(polygon: RayPolygon, limit: Float[Array, "*n"], enough, rising: bool, most: int | None) -> Boundary:
+def _boundary(
+    polygon: RayPolygon, limit: Float[Array, "*n"], enough: Array | None, rising: bool, most: int | None
+) -> Boundary:
     return _search(polygon, limit, enough, rising, most, lambda basis: ())[0]
 
 
-def _search(polygon: RayPolygon, limit, enough, rising: bool, most: int | None, mark):
+def _search(
+    polygon: RayPolygon, limit: Array, enough: Array | None, rising: bool, most: int | None, mark: Callable[[Basis], Any]
+) -> tuple[Boundary, Any]:
     """The boundary, and the marks of its pieces' bases."""
     program = polygon.at_start()
     walked = limit > 0
-    found = simplex.solve(program, polygon.start, walked)
-    free = found.basis.index == FREE
+    found = simplex.solve(program, polygon.ready, walked)
+    free = found.basis.chosen == FREE
     floorless = walked & ((found.outcome == Outcome.UNBOUNDED) | ~jnp.any(free, axis=0))
     lost = walked & ((found.outcome == Outcome.UNDECIDED) | (found.outcome == Outcome.INFEASIBLE))
     wall = jax.lax.cond(jnp.any(floorless), _wall, lambda polygon, _: jnp.full_like(limit, jnp.inf), polygon, floorless)
@@ -227,18 +245,18 @@ def _search(polygon: RayPolygon, limit, enough, rising: bool, most: int | None, 
     return boundary._replace(ending=jnp.where(lost, End.MAX_PIECES, boundary.ending).astype(jnp.int8)), marks
 
 
-def _line(polygon: RayPolygon, basis: Basis) -> Line:
+def _line(polygon: RayPolygon, basis: Basis) -> Affine:
     """The acceleration over alpha."""
     normal = _normal(basis)
     along = lambda vector: jnp.sum(normal * vector, axis=0)
     # The target is not used here: a deceleration that it has only because it was moved into the cone would stop the robot in
     # the end, however far away. What is left of such a one is rounding error.
-    own = -along(polygon.per_acceleration)   # 1, but for what `forward` was moved by
+    own = -along(polygon.per_acceleration)  # 1, but for what `forward` was moved by
     share = jnp.where(own > 0.5, 1 / jnp.where(own > 0.5, own, 1), 1)
     beyond, slope = share * along(polygon.falling.wrench), share * along(polygon.per_alpha)
     slack = polygon.line.slack * jnp.max(jnp.abs(normal), axis=0)
     noise = slack * (jnp.abs(beyond) + polygon.line.sideways)
-    return Line(snapped(beyond + polygon.fall, noise), without_noise(slope, slack * polygon.steepest))
+    return Affine(snapped(beyond + polygon.fall, noise), without_noise(slope, slack * polygon.steepest))
 
 
 def _wall(polygon: RayPolygon, floorless: Bool[Array, "*n"]) -> Float[Array, "*n"]:
@@ -249,11 +267,11 @@ def _wall(polygon: RayPolygon, floorless: Bool[Array, "*n"]) -> Float[Array, "*n
     program = Program(rays, polygon.per_alpha, polygon.at_rest.target, polygon.at_rest.scale)
     start = simplex.identity(floorless.shape, polygon.fall.dtype)
     found = simplex.solve(program, simplex.freed(program, start), floorless)
-    bounded = (found.outcome == Outcome.OPTIMAL) & jnp.any(found.basis.index == FREE, axis=0)
+    bounded = (found.outcome == Outcome.OPTIMAL) & jnp.any(found.basis.chosen == FREE, axis=0)
     return jnp.where(bounded, -_place(polygon._replace(rays=rays), 1, found.basis), jnp.inf)
 
 
-def _follow(polygon: RayPolygon, alpha, basis: Basis) -> Next:
+def _follow(polygon: RayPolygon, alpha: Array, basis: Basis) -> Next:
     """Where the first weight of the basis comes to zero, and the basis with the ray that takes over."""
     end, leaving, grows = _end(polygon, basis)
     bounds = tolerances(polygon.fall.dtype)
@@ -288,10 +306,10 @@ def _end(polygon: RayPolygon, basis: Basis) -> LineEnd:
     bounds, load = tolerances(polygon.fall.dtype), polygon.falling
     held, rate = simplex.times(basis.inverse, load.target), simplex.times(basis.inverse, polygon.per_alpha)
     noise = jnp.max(jnp.abs(basis.inverse), axis=1) * jnp.max(jnp.abs(polygon.per_alpha), axis=0)
-    unit = basis.index <= UNIT
-    ends = (jnp.where(unit, jnp.abs(rate), -rate) > bounds.slack * noise) & (basis.index != FREE)
-    left = jnp.where(unit, bounds.slack * load.scale - jnp.sign(rate) * held, held)
-    at = jnp.where(ends, jnp.maximum(left, 0) / jnp.where(ends, jnp.abs(rate), 1), jnp.inf)
+    unit = basis.chosen <= UNIT
+    ends = (jnp.where(unit, jnp.abs(rate), -rate) > bounds.slack * noise) & (basis.chosen != FREE)
+    above = jnp.where(unit, bounds.slack * load.scale - jnp.sign(rate) * held, held)
+    at = jnp.where(ends, jnp.maximum(above, 0) / jnp.where(ends, jnp.abs(rate), 1), jnp.inf)
     first = jnp.min(at, axis=0)
     _, leaving = simplex.largest(jnp.where(at <= first, jnp.abs(rate), 0))
     of = lambda values: jnp.sum(jnp.where(leaving, values, 0), axis=0)
@@ -305,7 +323,7 @@ def _end(polygon: RayPolygon, basis: Basis) -> LineEnd:
 def _boundary_jvp(rising, most, primals, tangents):
     """The search for the bases is not differentiated; the lines that belong to them are."""
     (polygon, limit, enough), (change, *_) = primals, tangents
-    found, indices = _search(polygon, limit, enough, rising, most, lambda basis: basis.index)
+    found, indices = _search(polygon, limit, enough, rising, most, lambda basis: basis.chosen)
     final = jnp.isinf(found.pieces.right)
 
     def of_piece(piece):
@@ -315,12 +333,12 @@ def _boundary_jvp(rising, most, primals, tangents):
         _, leaving, _ = _end(polygon, basis)
 
         def figures(polygon):
-            matrix = simplex.columns(polygon.at_start(), basis.index)
+            matrix = simplex.columns(polygon.at_start(), basis.chosen)
             held = simplex.weights(basis.inverse, matrix, polygon.falling.wrench)
             rate = simplex.weights(basis.inverse, matrix, polygon.per_alpha)
-            free = lambda values: jnp.sum(jnp.where(basis.index == FREE, values, 0), axis=0)
-            out = lambda values: jnp.sum(jnp.where(leaving & (basis.index != FREE), values, 0), axis=0)
-            return Line(free(held) + polygon.fall, free(rate)), -ratio(out(held), out(rate))
+            free = lambda values: jnp.sum(jnp.where(basis.chosen == FREE, values, 0), axis=0)
+            out = lambda values: jnp.sum(jnp.where(leaving & (basis.chosen != FREE), values, 0), axis=0)
+            return Affine(free(held) + polygon.fall, free(rate)), -ratio(out(held), out(rate))
 
         return jax.jvp(figures, (polygon,), (change,))[1]
 

@@ -11,7 +11,13 @@ MAX_STEPS = 64
 """Halving alone needs no more in double precision."""
 
 
-def reach_time(lower: Boundary, upper: Boundary, s_min, energy, reaching: Bool[Array, "*n"]) -> Float[Array, "*n"]:
+def reach_time(
+    lower: Boundary,
+    upper: Boundary,
+    s_min: Float[Array, "*n"],
+    energy: Float[Array, "*n"],
+    reaching: Bool[Array, "*n"],
+) -> Float[Array, "*n"]:
     """Time to come to rest at s_min [s]; zero in lanes that are not `reaching`.
 
     Of the manoeuvres that end there it is the fastest, as (12) asks: least deceleration up to a switch, then maximum
@@ -30,7 +36,7 @@ def _reach_time(lower, upper, target, energy):
     return upper.negated().duration(none, switch, energy, at_switch) + lower.duration(switch, target, at_switch, none)
 
 
-def _switch(lower: Boundary, upper: Boundary, target, energy):
+def _switch(lower: Boundary, upper: Boundary, target: Array, energy: Array) -> Array:
     """Where the way under the largest acceleration from the start meets the way under the smallest to rest at the target.
 
     The difference of their energies rises with alpha. Newton's method, halving the bracket where it would leave it; the

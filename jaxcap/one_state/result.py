@@ -1,9 +1,16 @@
 """What the predictor answers: how a state ends, whether to trust it, and the figures."""
 
 from enum import IntEnum
-from typing import NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
+import jax
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int8
+
+from jaxcap.errors import needs_extra
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 class Case(IntEnum):
@@ -24,7 +31,7 @@ class Case(IntEnum):
     C3_3 = 5
     """Stops beyond the places where it can stand and swings back (a hanging robot). Either verdict."""
     EMPTY = 6
-    """Nowhere along its line could the robot stand still. Not capturable."""
+    """Nowhere along its line could the robot stand still: there is no contact, or nowhere to stand. Not capturable."""
 
 
 class Status(IntEnum):
@@ -38,7 +45,8 @@ class Status(IntEnum):
     MAX_SWINGS = 3
     """The verdict and margins stand, but the robot still swings when the bound on swings is reached: no time, distance."""
     NONFINITE = 4
-    """The state, or its contacts, hold NaN or infinity; undecided."""
+    """The state, its contacts or gravity hold NaN or infinity, or are beyond what the precision holds: a CoM so far from the
+    contacts that their size is lost in rounding, or faster than light; undecided."""
 
 
 class Capturability(NamedTuple):
@@ -72,3 +80,43 @@ class Capturability(NamedTuple):
     """Duration of that manoeuvre [s], NaN where there is no stop."""
     residual_speed: Float[Array, "..."]
     """Speed that is left where the walk ends in C1 or C2 [m/s], zero where it stops."""
+
+    def __repr__(self) -> str:
+        """A line: one state's answer, or how many of many can stop, and their margins."""
+        arrays = np.ndarray | np.generic | jax.Array
+        if any(isinstance(field, jax.core.Tracer) or not isinstance(field, arrays) for field in self):
+            return f"Capturability({', '.join(f'{name}={field}' for name, field in zip(self._fields, self, strict=True))})"
+        capturable, margin, status = (np.asarray(field) for field in (self.capturable, self.margin, self.status))
+        if capturable.ndim == 0:
+            figures = {name: float(getattr(self, name)) for name in self._fields[3:]}
+            said = "".join(f", {name}={value:.4g}" for name, value in figures.items())
+            case, said_of = Case(int(self.case)).name, Status(int(status)).name
+            return f"Capturability(capturable={bool(capturable)}, case={case}, status={said_of}{said})"
+        known = margin[~np.isnan(margin)]
+        low, middle, high = np.quantile(known, [0, 0.5, 1], method="nearest") if known.size else (np.nan,) * 3
+        sound = np.isin(status, [Status.OK, Status.NO_DIRECTION, Status.MAX_SWINGS])
+        doubt = "" if sound.all() else f", {np.sum(~sound):,} without an answer (see status)"
+        return (
+            f"Capturability({capturable.size:,} states: {capturable.sum():,} capturable, "
+            f"margin {low:.3g} to {high:.3g} m/s, median {middle:.3g}{doubt}; {margin.dtype})"
+        )
+
+    def to_pandas(self, index: Any = None) -> "pd.DataFrame":
+        """A row for each state, with the names of cases and statuses as categoricals.
+
+        Args:
+            index: of the rows, such as that of the frame that the states came from; by default 0, 1, ...
+
+        Returns:
+            A DataFrame with the columns of `_fields`, with the units that they have here.
+
+        Raises:
+            MissingExtra: without pandas (extra `data`).
+        """
+        with needs_extra("data", "Capturability.to_pandas"):
+            import pandas as pd
+        columns = {name: np.atleast_1d(np.asarray(field)) for name, field in zip(self._fields, self, strict=True)}
+        for name, kind in (("case", Case), ("status", Status)):
+            names = [code.name.lower() if kind is Status else code.name for code in kind]
+            columns[name] = pd.Categorical.from_codes(columns[name].astype(int) - min(kind), names)
+        return pd.DataFrame(columns, index=index)

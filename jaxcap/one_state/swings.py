@@ -28,7 +28,9 @@ class Farthest(NamedTuple):
     """False where the polygon has more edges than are walked."""
 
 
-def farthest_rest(polygon: Producer, s_min, s_max, hanging: Bool[Array, "*n"]) -> Farthest:
+def farthest_rest(
+    polygon: Producer, s_min: Float[Array, "*n"], s_max: Float[Array, "*n"], hanging: Bool[Array, "*n"]
+) -> Farthest:
     """The farthest alpha from which, at rest, the robot is captured; s_max in lanes that are not `hanging`.
 
     The way back to s_max gains at least the energy under the upper boundary; the way on from there can take away as much as
@@ -55,7 +57,8 @@ def _farthest_rest(polygon, s_min, s_max, hanging):
 class Swing(NamedTuple):
     """Where the swings stand: at rest at `alpha`, about to go back."""
 
-    count: Int[Array, ""]
+    done: Int[Array, ""]
+    """Swings so far."""
     alpha: Float[Array, "*n"]
     """Where the CoM last came to rest [m]."""
     heading: Float[Array, ""]
@@ -69,7 +72,9 @@ class Swing(NamedTuple):
     """Speed that is left where a swing did not stop [m/s]."""
 
 
-def swing(polygon: Producer, s_min, s_max, ride: Ride, swinging: Bool[Array, "*n"]) -> Swing:
+def swing(
+    polygon: Producer, s_min: Float[Array, "*n"], s_max: Float[Array, "*n"], ride: Ride, swinging: Bool[Array, "*n"]
+) -> Swing:
     """Swing to and fro until at rest in [s_min, s_max], out of control, or the bound on swings.
 
     ride: the way to the first stop, to which the swings' distance and time are added. Not differentiated.
@@ -78,16 +83,16 @@ def swing(polygon: Producer, s_min, s_max, ride: Ride, swinging: Bool[Array, "*n
     alpha = ride.alpha
 
     def once(state: Swing) -> Swing:
-        limit, none = jnp.where(state.swinging, jnp.inf, 0), jnp.zeros_like(alpha)   # no further than to the stop
+        limit, none = jnp.where(state.swinging, jnp.inf, 0), jnp.zeros_like(alpha)  # no further than to the stop
         lower = polygon.seen_from(state.alpha, state.heading).boundary(limit, enough=none)
         at_end = lower.gain(lower.end)
-        unknown = lower.ending == End.MAX_PIECES   # it then swings on to the bound, and has no time
+        unknown = lower.ending == End.MAX_PIECES  # it then swings on to the bound, and has no time
         lost = state.swinging & (at_end > 0) & (lower.ending != End.NEVER)
         back = lower.ride(none)
         travelled = jnp.where(state.swinging & ~lost, back.alpha, 0)
         rest = state.alpha + state.heading * travelled
         return Swing(
-            count=state.count + 1,
+            done=state.done + 1,
             alpha=rest,
             heading=-state.heading,
             swinging=state.swinging & (unknown | ~lost & ~((s_min <= rest) & (rest <= s_max))),
@@ -97,7 +102,7 @@ def swing(polygon: Producer, s_min, s_max, ride: Ride, swinging: Bool[Array, "*n
         )
 
     start = Swing(
-        count=jnp.zeros((), jnp.int32),
+        done=jnp.zeros((), jnp.int32),
         alpha=alpha,
         heading=-jnp.ones((), alpha.dtype),
         swinging=swinging,
@@ -105,4 +110,4 @@ def swing(polygon: Producer, s_min, s_max, ride: Ride, swinging: Bool[Array, "*n
         time=ride.time,
         residual_speed=jnp.zeros_like(alpha),
     )
-    return jax.lax.while_loop(lambda state: jnp.any(state.swinging) & (state.count < MAX_SWINGS), once, start)
+    return jax.lax.while_loop(lambda state: jnp.any(state.swinging) & (state.done < MAX_SWINGS), once, start)

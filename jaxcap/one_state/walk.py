@@ -4,6 +4,7 @@ A producer knows the first line and, standing on a line, where that line ends an
 how, is decided here.
 """
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -15,7 +16,7 @@ from jaxcap.numerics.guarded import ratio, select
 from jaxcap.one_state.boundary import MAX_PIECES, Boundary, End, Pieces, piece_gain
 
 
-class Line(NamedTuple):
+class Affine(NamedTuple):
     """`intercept + slope * alpha`."""
 
     intercept: Float[Array, "*n"]
@@ -31,7 +32,7 @@ class Next(NamedTuple):
     """Where the line ends [m]; infinity where it goes on for ever."""
     leaves: Bool[Array, "*n"]
     """The polygon ends there."""
-    line: Line
+    line: Affine
     """The line that follows."""
     memory: Any
     """What the producer has to know about that line."""
@@ -42,7 +43,7 @@ class WalkState(NamedTuple):
 
     alpha: Float[Array, "*n"]
     """Where the current piece begins [m]."""
-    line: Line
+    line: Affine
     """The current line."""
     energy: Float[Array, "*n"]
     """Gained so far [m^2/s^2]; only kept where some is `enough`."""
@@ -57,17 +58,17 @@ class WalkState(NamedTuple):
 
 
 def walk(
-    follow,
-    first: Line,
-    memory,
-    floorless,
-    wall,
+    follow: Callable[[Array, Affine, Any], Next],
+    first: Affine,
+    memory: Any,
+    floorless: Bool[Array, "*n"],
+    wall: Float[Array, "*n"],
     limit: Float[Array, "*n"],
     rising: bool,
     most: int | None = None,
     enough: Float[Array, "*n"] | None = None,
-    mark=lambda memory: (),
-):
+    mark: Callable[[Any], Any] = lambda memory: (),
+) -> tuple[Boundary, Any]:
     """The boundary from alpha = 0 on, to where it turns non-negative while rising (C1; not with `rising`), to the polygon's
     right end (C2), or a little beyond `limit` or where it has taken the energy `enough`; `most` pieces at most (MAX_PIECES).
     Lanes whose limit is not positive are not walked.
@@ -81,7 +82,7 @@ def walk(
     nothing = jnp.zeros((most, *limit.shape), limit.dtype)
     found = Boundary(
         pieces=Pieces(nothing, nothing, nothing, nothing),
-        count=jnp.zeros((), jnp.int32),
+        used=jnp.zeros((), jnp.int32),
         end=jnp.where(floorless, jnp.maximum(wall, 0), jnp.inf),
         ending=jnp.where(endless, End.FLOORLESS, jnp.where(floorless, End.POLYGON, End.LIMIT)).astype(jnp.int8),
     )
@@ -95,7 +96,7 @@ def walk(
         marks=jax.tree.map(lambda field: jnp.zeros((most, *field.shape), field.dtype), mark(memory)),
     )
     last = jax.lax.while_loop(
-        lambda state: jnp.any(state.running) & (state.found.count < most),
+        lambda state: jnp.any(state.running) & (state.found.used < most),
         lambda state: _next_piece(follow, limit, enough, rising, mark, state),
         start,
     )
@@ -103,7 +104,9 @@ def walk(
     return last.found._replace(ending=ending.astype(jnp.int8)), last.marks
 
 
-def _next_piece(follow, limit, enough, rising: bool, mark, state: WalkState) -> WalkState:
+def _next_piece(
+    follow: Callable, limit: Array, enough: Array | None, rising: bool, mark: Callable, state: WalkState
+) -> WalkState:
     """Record the current line; go on along the one that follows, or stop."""
     alpha, line, energy, running, memory, found, marks = state
     intercept, slope = line
@@ -124,7 +127,7 @@ def _next_piece(follow, limit, enough, rising: bool, mark, state: WalkState) -> 
     ending = select([diverges, never, leaves], [End.DIVERGES, End.NEVER, End.POLYGON], found.ending)
     # The last line goes on without end, so that what lies beyond its end is still well defined.
     piece = Pieces(left=alpha, right=jnp.where(goes_on, end, jnp.inf), intercept=intercept, slope=slope)
-    put = lambda fields, value: jax.lax.dynamic_update_index_in_dim(fields, jnp.where(running, value, 0), found.count, 0)
+    put = lambda fields, value: jax.lax.dynamic_update_index_in_dim(fields, jnp.where(running, value, 0), found.used, 0)
     choose = lambda new, old: jnp.where(goes_on, new, old)
     return WalkState(
         alpha=choose(end, alpha),
@@ -134,7 +137,7 @@ def _next_piece(follow, limit, enough, rising: bool, mark, state: WalkState) -> 
         memory=jax.tree.map(choose, following.memory, memory),
         found=Boundary(
             pieces=jax.tree.map(put, found.pieces, piece),
-            count=found.count + 1,
+            used=found.used + 1,
             end=jnp.where(diverges, zero, jnp.where(leaves, end, found.end)),
             ending=ending.astype(jnp.int8),
         ),
@@ -142,7 +145,7 @@ def _next_piece(follow, limit, enough, rising: bool, mark, state: WalkState) -> 
     )
 
 
-def moved(found: Boundary, lines: Line, wall: Float[Array, "*n"]) -> Boundary:
+def moved(found: Boundary, lines: Affine, wall: Float[Array, "*n"]) -> Boundary:
     """The tangent of a boundary whose lines move: exact, since pieces join where they meet, so that to move a knot changes
     no integral to first order. What is not differentiable has the tangent None or zero.
 
@@ -161,5 +164,5 @@ def moved(found: Boundary, lines: Line, wall: Float[Array, "*n"]) -> Boundary:
     at_zero = jnp.where(pick(final, pieces.left) < end, -ratio(rise, slope), at_knot)
     ends = jnp.where(found.ending == End.DIVERGES, at_zero, jnp.where(found.ending == End.POLYGON, wall, 0))
     zero = jnp.zeros_like(pieces.left)
-    integer = lambda x: np.zeros(x.shape, jax.dtypes.float0)
-    return Boundary(Pieces(zero, zero, *lines), integer(found.count), ends, integer(found.ending))
+    of_integers: Any = lambda x: np.zeros(x.shape, jax.dtypes.float0)  # the tangent that JAX wants for them
+    return Boundary(Pieces(zero, zero, *lines), of_integers(found.used), ends, of_integers(found.ending))

@@ -16,9 +16,9 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
+from jaxcap.contacts.conventions import ArrayLike
 from jaxcap.numerics.guarded import snapped, tolerances
 
 POSITION = 4
@@ -50,7 +50,7 @@ class WrenchLine(NamedTuple):
     """Size of the part of g across the line [m/s^2]."""
     length: Float[Array, "*#n"]
     """Size of the stance [m]."""
-    reach: Float[Array, "*n"]
+    remoteness: Float[Array, "*n"]
     """1 + distance of the CoM from the contacts' centroid over the size of the stance: the scale of rounding errors."""
     slack: Float[Array, "*n"]
     """`Tolerances.slack` for this state: of the stance or of the CoM's distance from it, and never less than what the
@@ -83,7 +83,7 @@ def wrench_line(
     weight, turning = size(gravity), _cross(gravity, along)
     # Not g - fall v, which would cancel. Without a direction, all of gravity is across it.
     across = jnp.where(jnp.any(along != 0, axis=0), _cross(along, turning), gravity)
-    bounds, reach = tolerances(com.dtype), 1 + size(arm) / length
+    bounds, remoteness = tolerances(com.dtype), 1 + size(arm) / length
     rounded = POSITION * float(jnp.finfo(com.dtype).eps) * (size(com) + size(column(origin))) / length
     noise = jnp.where(size(across) > bounds.slack * weight, 0, jnp.inf)
     across, turning = snapped(across, noise), snapped(turning, noise)
@@ -96,8 +96,8 @@ def wrench_line(
         weight=weight,
         sideways=size(across),
         length=length,
-        reach=reach,
-        slack=bounds.slack * reach + rounded,
+        remoteness=remoteness,
+        slack=bounds.slack * remoteness + rounded,
     )
 
 

@@ -1,10 +1,13 @@
 """The (alpha, acceleration) polygon of one state, with the walk drawn on it: the paper's Fig. 2."""
 
+from typing import Any
+
 import numpy as np
+from jaxtyping import Float
 from matplotlib.axes import Axes
 
 from jaxcap.contacts.cone import CentroidalCone
-from jaxcap.contacts.conventions import GRAVITY
+from jaxcap.contacts.conventions import GRAVITY, ArrayLike
 from jaxcap.plotting.style import BLUE, DARK, GREY, PALE, RED, axes_or_new, halo
 from jaxcap.plotting.travel import Travel, travel
 
@@ -12,16 +15,36 @@ ABOVE = 0.12
 """Free space above and below the polygon, relative to its height."""
 
 
-def polygon(cone: CentroidalCone, com, com_velocity, *, gravity=GRAVITY, ax: Axes | None = None) -> Axes:
+def polygon(
+    cone: CentroidalCone,
+    com: ArrayLike,
+    com_velocity: ArrayLike,
+    *,
+    gravity: ArrayLike = GRAVITY,
+    ax: Axes | None = None,
+) -> Axes:
     """The accelerations that keep the contacts, over the positions along the line of travel, and what the CoM does there.
 
-    cone: from `centroidal_cone`. com: (3,) [m], com_velocity: (3,) [m/s], gravity: (3,) [m/s^2], in the contacts' frame.
     The thick bar is the static region, where zero acceleration is feasible. The red line is the walk, from the circle on:
     maximum deceleration, up to a stop (star), or to where the robot is lost (cross); in C3_2_1 the fastest way to rest at
     the static region, in C3_2_2 the least deceleration, which still stops too early.
 
-    Returns the axes. Raises ValueError for zero velocity, which has no line, or a state that is not finite; TypeError for
-    rays. Source: Fig. 2 and Section III.
+    Args:
+        cone: From `centroidal_cone`.
+        com: (3,) [m], in the contacts' frame, and so are velocity and gravity.
+        com_velocity: (3,) [m/s].
+        gravity: (3,) [m/s^2].
+        ax: Axes to draw into; by default those of a new figure.
+
+    Returns:
+        The axes.
+
+    Raises:
+        ValueError: For zero velocity, which has no line, or a state that is not finite.
+        TypeError: For rays.
+
+    Source:
+        Fig. 2 and Section III.
     """
     line = travel(cone, com, com_velocity, gravity)
     ax = axes_or_new(ax)
@@ -49,13 +72,15 @@ def static_region(ax: Axes, line: Travel) -> None:
     for end, name in zip(line.static, (r"$s_\mathrm{min}$", r"$s_\mathrm{max}$"), strict=True):
         if np.isfinite(end):
             ax.axvline(end, color=GREY, linewidth=0.9, linestyle=":", zorder=1)
-            ax.annotate(name, (end, 0), (0, 5), textcoords="offset points", ha="center", va="bottom",
-                        path_effects=halo(), zorder=6)
+            ax.annotate(
+                name, (end, 0), (0, 5), textcoords="offset points", ha="center", va="bottom", path_effects=halo(), zorder=6
+            )
 
 
 def endpoint(ax: Axes, line: Travel, alpha: float, height: float, before: float) -> None:
     """Start and end of a walk. height, before: vertical coordinate of the end and of the start."""
-    style = {"color": "white", "markeredgecolor": RED, "markeredgewidth": 1.8, "linestyle": "none", "zorder": 7}
+    style: dict[str, Any] = {"color": "white", "markeredgecolor": RED, "markeredgewidth": 1.8, "zorder": 7}
+    style["linestyle"] = "none"
     ax.plot([0], [before], marker="o", markersize=8, label="start", **style)
     if line.walk is None:
         return
@@ -72,10 +97,10 @@ def _draw_walk(ax: Axes, line: Travel, low: float) -> None:
         return
     height = np.maximum(line.walk.acceleration, low)
     ax.plot(line.walk.alpha, height, color=RED, linewidth=2.8, zorder=5, label="walk")
-    endpoint(ax, line, line.walk.alpha[-1], height[-1], height[0])
+    endpoint(ax, line, float(line.walk.alpha[-1]), float(height[-1]), float(height[0]))
 
 
-def _limits(line: Travel, region) -> tuple[float, float]:
+def _limits(line: Travel, region: Float[np.ndarray, "k 2"]) -> tuple[float, float]:
     """Vertical limits: around what there is to see, but no space beyond what is not shown to its end."""
     shown = np.concatenate([[0.0], region[:, 1], line.walk.acceleration if line.walk else []])
     low, high = (np.clip(end, -line.steepest, line.steepest) for end in (shown.min(), shown.max()))

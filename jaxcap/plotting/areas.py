@@ -1,10 +1,14 @@
 """Velocity areas: the velocities that a CoM can be stopped from, in the velocity plane and over the stance."""
 
+from typing import Any
+
 import numpy as np
 from jaxtyping import Bool, Float, Num
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgba
 from matplotlib.patches import Patch
+from matplotlib.typing import ColorType
 from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
 
 from jaxcap.contacts.conventions import FloatArray
@@ -24,15 +28,30 @@ CLOSEST = 0.02
 
 
 def velocity_area(
-    area: VelocityArea, *, longest: float | None = None, color=BLUE, label: str | None = None, ax: Axes | None = None
+    area: VelocityArea,
+    *,
+    longest: float | None = None,
+    color: ColorType = BLUE,
+    label: str | None = None,
+    ax: Axes | None = None,
 ) -> Axes:
     """The horizontal CoM velocities that can be stopped from one place, in the velocity plane.
 
-    area: from `jaxcap.velocity_area`, for one CoM and its `headings`. longest: larger speeds are cut to this [m/s], by
-    default those that are far above the others. color, label: of the area. Where it goes on beyond the cut, perhaps without
-    end, the area is hatched and has no edge; where a direction is undecided it is dotted grey.
+    Where it goes on beyond the cut, perhaps without end, the area is hatched and has no edge; where a direction is undecided
+    it is dotted grey.
 
-    Returns the axes. Raises ValueError for an area of several CoM positions, or with directions that are not horizontal.
+    Args:
+        area: From `jaxcap.velocity_area`, for one CoM and its `headings`.
+        longest: Larger speeds are cut to this [m/s], by default those that are far above the others.
+        color: Of the area.
+        label: Of the area, in a legend.
+        ax: Axes to draw into; by default those of a new figure.
+
+    Returns:
+        The axes.
+
+    Raises:
+        ValueError: For an area of several CoM positions, or with directions that are not horizontal.
     """
     ax = axes_or_new(ax, (5.2, 4.8))
     _draw(ax, area, np.zeros(2), 1.0, _longest(area, longest), color, label)
@@ -48,18 +67,29 @@ def velocity_areas(
     *,
     scale: float | None = None,
     longest: float | None = None,
-    color=BLUE,
+    color: ColorType = BLUE,
     label: str | None = None,
     ax: Axes | None = None,
 ) -> Axes:
     """Velocity areas of several CoM positions as polar plots, each over its place, seen from above.
 
-    areas: from `jaxcap.velocity_area`, for k CoM positions and their `headings`. coms: (k, 2) or (k, 3) [m]. scale: length
-    drawn for a speed [m per m/s]; by default such that neighbours hardly overlap. longest: larger speeds are cut to this
-    [m/s], by default those that are well above the others. A dot marks a place where the robot can stand, a ring one where
-    it cannot. A bar gives the scale. The rest is as in `velocity_area`; `footprint` draws the contacts.
+    A dot marks a place where the robot can stand, a ring one where it cannot. A bar gives the scale. The rest is as in
+    `velocity_area`; `footprint` draws the contacts.
 
-    Returns the axes. Raises ValueError where the number of areas and positions differ.
+    Args:
+        areas: From `jaxcap.velocity_area`, for k CoM positions and their `headings`.
+        coms: (k, 2) or (k, 3) [m].
+        scale: Length drawn for a speed [m per m/s]; by default such that neighbours hardly overlap.
+        longest: Larger speeds are cut to this [m/s], by default those that are well above the others.
+        color: Of the areas.
+        label: Of the areas, in a legend.
+        ax: Axes to draw into; by default those of a new figure.
+
+    Returns:
+        The axes.
+
+    Raises:
+        ValueError: Where the number of areas and positions differ.
     """
     coms = np.asarray(coms, float)[:, :2]
     if np.shape(areas.max_speed)[:-1] != (len(coms),):
@@ -68,21 +98,32 @@ def velocity_areas(
     longest = _longest(areas, longest)
     scale = FILL * _apart(coms) / longest if scale is None else scale
     for i, com in enumerate(coms):
-        one = VelocityArea(areas.directions, areas.min_speed[i], areas.max_speed[i], areas.standing[i])
+        one = areas._replace(min_speed=areas.min_speed[i], max_speed=areas.max_speed[i], standing=areas.standing[i])
         _draw(ax, one, com, scale, longest, color, label if i == 0 else None)
     standing = np.asarray(areas.standing)
-    style = {"linestyle": "none", "marker": "o", "markersize": 4, "zorder": 8, "markeredgecolor": DARK}
-    ax.plot(*coms[standing].T, color=DARK, **style)
-    ax.plot(*coms[~standing].T, color="white", **style)
+    style: dict[str, Any] = {"linestyle": "none", "marker": "o", "markersize": 4, "zorder": 8, "markeredgecolor": DARK}
+    handles: list[Artist] = []
+    for which, shade, meaning in ((standing, DARK, "CoM, can stand"), (~standing, "white", "CoM, cannot stand")):
+        dots = ax.plot(*coms[which].T, color=shade, label=meaning, **style)
+        handles += dots if which.any() else []
     ax.set(aspect="equal", xlabel="CoM position x [m]", ylabel="CoM position y [m]")
     _scale_bar(ax, scale, longest)
     if (np.asarray(areas.max_speed) > longest).any():
-        beyond = Patch(facecolor=to_rgba(color, 0.45), edgecolor=color, linewidth=0, hatch=BEYOND, label="faster than shown")
-        ax.legend(handles=[beyond], loc="upper right")
+        look: dict[str, Any] = {"facecolor": to_rgba(color, 0.45), "edgecolor": color, "linewidth": 0, "hatch": BEYOND}
+        handles.append(Patch(label="faster than shown", **look))
+    ax.legend(handles=handles, loc="upper right", framealpha=0.9).set_zorder(9)
     return ax
 
 
-def _draw(ax: Axes, area: VelocityArea, centre, scale: float, longest: float, color, label) -> None:
+def _draw(
+    ax: Axes,
+    area: VelocityArea,
+    centre: Float[np.ndarray, "2"],
+    scale: float,
+    longest: float,
+    color: ColorType,
+    label: str | None,
+) -> None:
     """One area around its centre [m]; scale: of its speeds."""
     directions = np.asarray(area.directions)[:, :2]
     smallest, largest = np.asarray(area.min_speed, float), np.asarray(area.max_speed, float)
@@ -106,7 +147,9 @@ def _draw(ax: Axes, area: VelocityArea, centre, scale: float, longest: float, co
 
 def _only(area: VelocityArea, which: Bool[np.ndarray, "n"], low: Float[np.ndarray, "n"]) -> VelocityArea:
     """The speeds above `low` in the directions `which`."""
-    return area._replace(min_speed=np.where(which, low, 0.0), max_speed=np.where(which, np.inf, 0.0))
+    smallest: Any = np.where(which, low, 0.0)
+    largest: Any = np.where(which, np.inf, 0.0)
+    return area._replace(min_speed=smallest, max_speed=largest)
 
 
 def _longest(area: VelocityArea, longest: float | None) -> float:
@@ -121,7 +164,7 @@ def _longest(area: VelocityArea, longest: float | None) -> float:
     return CUT * min(some.max(), (TYPICAL if speeds.ndim == 1 else TYPICAL_OF_ALL) * np.median(some))
 
 
-def _apart(coms) -> float:
+def _apart(coms: Float[np.ndarray, "k 2"]) -> float:
     """Distance from a position to its nearest neighbour [m], 1 for a single one."""
     if len(coms) < 2:
         return 1.0

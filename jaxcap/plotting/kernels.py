@@ -1,18 +1,25 @@
 """Slices of a map, as filled contours with the zero level drawn; where there is no number, the picture says so."""
 
-from typing import Any
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Shaped
 from matplotlib.axes import Axes
 from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
+from jaxcap.files.fields import CASES
 from jaxcap.one_state.result import Case, Status
 from jaxcap.plotting.style import BLUE, DARK, GREY, ORANGE, RED, axes_or_new, halo
 from jaxcap.plotting.words import DEGREES, label_of, place_of, unit_of, values_of
 
+if TYPE_CHECKING:
+    import xarray as xr
+
+Beyond = Literal["neither", "min", "max", "both"]
+"""On which side of its levels a field goes on."""
 LEVELS = 12
 """Contours, more or less."""
 OUTLIERS = 0.98
@@ -29,17 +36,23 @@ TO_SCALE = ("m", "m/s")
 """Where both axes are of one of these units, the picture is to scale."""
 HATCHES = {"undecided": "xx", "at rest": "\\\\"}
 """Where a field is no number, by the reason; dots for any other."""
-CODES = {
+
+
+def _named(case: Case, colour: str) -> tuple[str, str]:
+    return f"{case.name}: {CASES[case]}", colour
+
+
+CODES: dict[str, dict[Any, tuple[str, str]]] = {
     "capturable": {False: ("falls, or has to step", EMPTY), True: ("capturable", BLUE)},
     "case": {
-        Case.UNDECIDED: ("undecided", "#ffffff"),
-        Case.C1: ("C1: diverges", "#f0c37c"),
-        Case.C2: ("C2: leaves the polygon", ORANGE),
-        Case.C3_1: ("C3_1: stops", BLUE),
-        Case.C3_2_1: ("C3_2_1: reaches S", "#5f9fcf"),
-        Case.C3_2_2: ("C3_2_2: falls back", "#b0653a"),
-        Case.C3_3: ("C3_3: swings", "#083050"),
-        Case.EMPTY: ("EMPTY: no S", EMPTY),
+        Case.UNDECIDED: (CASES[Case.UNDECIDED], "#ffffff"),
+        Case.C1: _named(Case.C1, "#f0c37c"),
+        Case.C2: _named(Case.C2, ORANGE),
+        Case.C3_1: _named(Case.C3_1, BLUE),
+        Case.C3_2_1: _named(Case.C3_2_1, "#5f9fcf"),
+        Case.C3_2_2: _named(Case.C3_2_2, "#b0653a"),
+        Case.C3_3: _named(Case.C3_3, "#083050"),
+        Case.EMPTY: _named(Case.EMPTY, EMPTY),
     },
     "status": {
         Status.OK: ("OK", EMPTY),
@@ -49,33 +62,43 @@ CODES = {
         Status.NONFINITE: ("NONFINITE", DARK),
     },
 }
-"""Name and colour of the values of fields that are codes. S: the static region."""
+"""Legend and colour of the values of fields that are codes."""
 
 
 def kernel_slice(
-    dataset,
+    dataset: "xr.Dataset",
     quantity: str = "max_speed",
     *,
     x: str = "com_x",
     y: str = "com_y",
-    levels: Any = None,
+    levels: int | Sequence[float] | None = None,
     bar: bool = True,
     ax: Axes | None = None,
     **selection: float,
 ) -> Axes:
     """A plane of a map: a field of `Capturability` over two of its axes.
 
-    dataset: an xarray.Dataset from `jaxcap.maps`, or one like it: the coordinates and `quantity` with attributes `units` and
-    `long_name`. x, y: names of the axes of the picture. selection: a value for each other axis of the map, of which the
-    nearest grid point is taken. levels: of the contours, in the field's unit, or about how many. bar: draw the colour bar.
-
     The zero level is a thick line, and contours below it are dashed. A field that is nowhere negative is grey where it is
     zero, as far as the cell beside, where the others, continued in a straight line, would vanish. Infinite figures are
     hatched, and so is, in another way, whatever is no number; the legend says why. `capturable`, `case` and `status` are
     areas of colour. Angles are in degrees, in `selection` in radians.
 
-    Returns the axes. Raises ValueError, naming the axis or field, for what the dataset does not hold, an axis that is left
-    over, or a value outside of the grid.
+    Args:
+        dataset: From `jaxcap.maps`, or one like it: the coordinates and `quantity` with attributes `units` and `long_name`.
+        quantity: Field to draw.
+        x: Axis of the map that goes to the right.
+        y: Axis of the map that goes up.
+        levels: Of the contours, in the field's unit, or about how many.
+        bar: Draw the colour bar.
+        ax: Axes to draw into; by default those of a new figure.
+        **selection: A value for each other axis of the map, of which the nearest grid point is taken.
+
+    Returns:
+        The axes.
+
+    Raises:
+        ValueError: Naming the axis or field, for what the dataset does not hold, an axis that is left over, or a value
+            outside of the grid.
     """
     plane = at_selection(dataset, quantity, (x, y), selection)
     ax = axes_or_new(ax, (7.0, 5.0))
@@ -96,7 +119,7 @@ def kernel_slice(
     return ax
 
 
-def at_selection(dataset, quantity: str, kept: tuple[str, ...], selection: dict[str, float]):
+def at_selection(dataset: "xr.Dataset", quantity: str, kept: tuple[str, ...], selection: dict[str, float]) -> "xr.Dataset":
     """The part of a map with these axes only: the others at the grid points nearest to their values.
 
     Raises ValueError, naming the axis or field, for what the dataset does not hold, an axis that is left over, or a value
@@ -116,17 +139,17 @@ def at_selection(dataset, quantity: str, kept: tuple[str, ...], selection: dict[
         if dataset.sizes[name] < 2:
             raise ValueError(f"{name} has {dataset.sizes[name]} grid point (expected at least 2)")
     for name in axes:
-        grid = np.sort(np.asarray(dataset[name], float))
-        reach = f"from {grid[0]:g} to {grid[-1]:g}"
+        values = np.sort(np.asarray(dataset[name], float))
+        extent = f"from {values[0]:g} to {values[-1]:g}"
         if name not in (*kept, *selection):
-            raise ValueError(f"no value for the axis {name} (expected one {reach})")
-        step = np.diff(grid).max(initial=0)
-        if name in selection and not grid[0] - step <= selection[name] <= grid[-1] + step:
-            raise ValueError(f"{name} = {selection[name]:g} is not on the grid (expected {reach})")
+            raise ValueError(f"no value for the axis {name} (expected one {extent})")
+        step = np.diff(values).max(initial=0)
+        if name in selection and not values[0] - step <= selection[name] <= values[-1] + step:
+            raise ValueError(f"{name} = {selection[name]:g} is not on the grid (expected {extent})")
     return dataset.sel(selection, method="nearest")
 
 
-def _gaps(plane, quantity: str, x: str, y: str) -> dict[str, Bool[np.ndarray, "n m"]]:
+def _gaps(plane: "xr.Dataset", quantity: str, x: str, y: str) -> dict[str, Bool[np.ndarray, "n m"]]:
     """Where the field is no number, and why."""
     missing = np.isnan(np.asarray(plane[quantity].transpose(y, x), float))
     why = "no stop" if quantity in ("distance", "time") else "no value"
@@ -141,10 +164,22 @@ def _gaps(plane, quantity: str, x: str, y: str) -> dict[str, Bool[np.ndarray, "n
     return {"undecided": undecided, "at rest": still, why: missing & ~undecided & ~still}
 
 
-def _draw_figures(ax, across, along, values: Float[np.ndarray, "n m"], gaps, label: str, levels, bar: bool) -> None:
+def _draw_figures(
+    ax: Axes,
+    across: Float[np.ndarray, " m"],
+    along: Float[np.ndarray, " n"],
+    values: Float[np.ndarray, "n m"],
+    gaps: dict[str, Bool[np.ndarray, "n m"]],
+    label: str,
+    levels: int | Sequence[float] | None,
+    bar: bool,
+) -> None:
+    """Contours of the figures, hatches where they are infinite or none."""
     finite = values[np.isfinite(values)]
     endless = np.isposinf(values)
-    signs = {"at any speed": (endless, {"facecolor": "#fff7dc", "edgecolor": ORANGE, "hatch": "//"})}
+    signs: dict[str, tuple[Any, dict[str, Any]]] = {
+        "at any speed": (endless, {"facecolor": "#fff7dc", "edgecolor": ORANGE, "hatch": "//"})
+    }
     style_of = lambda why: {"facecolor": "white", "edgecolor": GREY, "hatch": HATCHES.get(why, "..")}
     signs |= {why: (where, style_of(why)) for why, where in gaps.items()}
     handles = []
@@ -157,12 +192,12 @@ def _draw_figures(ax, across, along, values: Float[np.ndarray, "n m"], gaps, lab
         area.set(edgecolor=style["edgecolor"], linewidth=0)
         handles.append(Patch(label=why, linewidth=0, **style))
     if len(finite):
-        levels, extend = _levels(finite, levels)
+        edges, extend = _levels(finite, levels)
         shown = np.ma.masked_invalid(values)
-        filled = ax.contourf(across, along, shown, levels, cmap="cividis", extend=extend, zorder=2)
+        filled = ax.contourf(across, along, shown, edges, cmap="cividis", extend=extend, zorder=2)
         if bar:
             ax.figure.colorbar(filled, cax=ax.inset_axes(BESIDE), label=label)
-        thin = levels[levels != 0]
+        thin = edges[edges != 0]
         ax.contour(across, along, shown, thin, colors="white", linewidths=0.5, negative_linestyles="dashed", zorder=3)
         if (finite <= 0).any() and (values > 0).any():
             handles += _draw_zero(ax, across, along, values)
@@ -170,7 +205,9 @@ def _draw_figures(ax, across, along, values: Float[np.ndarray, "n m"], gaps, lab
         ax.legend(handles=handles, loc="upper right", framealpha=0.9).set_zorder(8)
 
 
-def _draw_zero(ax, across, along, values) -> list[Patch]:
+def _draw_zero(
+    ax: Axes, across: Float[np.ndarray, " m"], along: Float[np.ndarray, " n"], values: Float[np.ndarray, "n m"]
+) -> list[Patch]:
     """The zero level. Of a field that is nowhere negative, the area where it is zero, with what the legend says of it."""
     never_negative = np.nanmin(values) == 0
     signed = _continued(values) if never_negative else values
@@ -179,7 +216,7 @@ def _draw_zero(ax, across, along, values) -> list[Patch]:
         ax.contourf(across, along, signed, [-np.inf, 0], colors=[EMPTY], zorder=3)
     handles = [Patch(facecolor=EMPTY, label="zero")] if never_negative else []
     zero = ax.contour(across, along, signed, [0], colors="black", linewidths=2.2, zorder=4)
-    zero.set_path_effects(halo(4))
+    zero.set_path_effects([*halo(4)])
     return handles
 
 
@@ -190,17 +227,17 @@ def _continued(values: Float[np.ndarray, "n m"]) -> Float[np.ndarray, "n m"]:
     Where that would not be negative, as at a jump, the level is in the middle between the grid points.
     """
     finite = np.where(np.isfinite(values), values, 0)
-    total, count = np.zeros_like(finite), np.zeros_like(finite)
+    total, neighbours = np.zeros_like(finite), np.zeros_like(finite)
     for axis in (0, 1):
         for step in (1, -1):
             near, far = (_shifted(finite, n * step, axis) for n in (1, 2))
             beyond = np.where((far > 0) & (2 * near < far), 2 * near - far, -near)
             total += np.where(near > 0, beyond, 0)
-            count += near > 0
-    return np.where(values == 0, np.where(count > 0, total / np.maximum(count, 1), -1), values)
+            neighbours += near > 0
+    return np.where(values == 0, np.where(neighbours > 0, total / np.maximum(neighbours, 1), -1), values)
 
 
-def _shifted(values, step: int, axis: int):
+def _shifted(values: Float[np.ndarray, "n m"], step: int, axis: int) -> Float[np.ndarray, "n m"]:
     """The values `step` grid points further on, zero beyond the edge."""
     out = np.roll(values, -step, axis)
     edge = [slice(None)] * 2
@@ -209,29 +246,35 @@ def _shifted(values, step: int, axis: int):
     return out
 
 
-def _levels(finite, levels) -> tuple[Float[np.ndarray, "k"], str]:
+def _levels(finite: Float[np.ndarray, " k"], levels: int | Sequence[float] | None) -> tuple[Float[np.ndarray, " l"], Beyond]:
     """Levels of the contours that surround the figures, and on which side figures lie beyond."""
-    if levels is not None and np.ndim(levels) == 1:
-        levels = np.asarray(levels, float)
+    if levels is not None and not isinstance(levels, int):
+        edges = np.asarray(levels, float)
     else:
         low, high = finite.min(), finite.max()
         most, least = np.quantile(finite, [OUTLIERS, 1 - OUTLIERS])
         high = most if high > FAR * most > 0 else high
         low = least if low < FAR * least < 0 else low
         low, high = (low, high) if low < high else (low - 0.5, high + 0.5)
-        levels = MaxNLocator(levels or LEVELS).tick_values(low, high)
-    sides = (finite.min() < levels[0], finite.max() > levels[-1])
-    return levels, {(False, False): "neither", (True, False): "min", (False, True): "max", (True, True): "both"}[sides]
+        edges = np.asarray(MaxNLocator(levels or LEVELS).tick_values(low, high))
+    below, above = bool(finite.min() < edges[0]), bool(finite.max() > edges[-1])
+    return edges, "both" if below and above else "min" if below else "max" if above else "neither"
 
 
-def _draw_codes(ax, across, along, values, quantity: str) -> None:
+def _draw_codes(
+    ax: Axes,
+    across: Float[np.ndarray, " m"],
+    along: Float[np.ndarray, " n"],
+    values: Shaped[np.ndarray, "n m"],
+    quantity: str,
+) -> None:
     """Areas of one colour for each code, with a legend of those that occur."""
     codes = CODES[quantity]
     numbers = sorted(int(code) for code in codes)
     colours = [codes[code][1] for code in sorted(codes)]
     norm = BoundaryNorm(np.arange(numbers[0], numbers[-1] + 2) - 0.5, len(numbers))
-    style = {"cmap": ListedColormap(colours), "norm": norm, "shading": "nearest", "rasterized": True}
-    ax.pcolormesh(across, along, values.astype(int), **style)
+    cmap = ListedColormap(colours)
+    ax.pcolormesh(across, along, values.astype(int), cmap=cmap, norm=norm, shading="nearest", rasterized=True)
     present = [code for code in sorted(codes) if (values.astype(int) == int(code)).any()]
     handles = [Patch(facecolor=codes[code][1], edgecolor=DARK, linewidth=0.5, label=codes[code][0]) for code in present]
     ax.legend(handles=handles, loc="upper left", bbox_to_anchor=(1.01, 1), borderaxespad=0)

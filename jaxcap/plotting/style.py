@@ -4,7 +4,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patheffects import Stroke, withStroke
 
-BLUE, ORANGE, RED = "#0060a0", "#e69f00", "#8b1a00"   # told apart by colour-blind readers, and in grey
+BLUE, ORANGE, RED = "#0060a0", "#e69f00", "#8b1a00"  # told apart by colour-blind readers, and in grey
 PALE, GREY, DARK = "#d9e6f2", "#909090", "#303030"
 
 

@@ -1,15 +1,18 @@
 """One state's line of travel, evaluated for drawing: polygon, static region, walk. Draws nothing."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float, Int8, Shaped
 
-from jaxcap.batch.blocks import padded_cone
+from jaxcap.batch.blocks import ROWS
 from jaxcap.contacts.cone import CentroidalCone
+from jaxcap.contacts.conventions import ArrayLike, FloatArray
+from jaxcap.files.fields import CASES
 from jaxcap.numerics.guarded import direction, root
+from jaxcap.numerics.whole import round_up
 from jaxcap.one_state.boundary import Boundary, End
 from jaxcap.one_state.capturability import capturability
 from jaxcap.one_state.face_polygon import polygon
@@ -31,11 +34,11 @@ NARROWEST = 0.1
 class Walk(NamedTuple):
     """The CoM's way along the line, point by point."""
 
-    alpha: Float[np.ndarray, "n"]
+    alpha: Float[FloatArray, "n"]
     """[m]"""
-    speed: Float[np.ndarray, "n"]
+    speed: Float[FloatArray, "n"]
     """[m/s]"""
-    acceleration: Float[np.ndarray, "n"]
+    acceleration: Float[FloatArray, "n"]
     """[m/s^2]; minus infinity where the CoM stops at once."""
 
 
@@ -68,9 +71,9 @@ class Travel(NamedTuple):
     def verdict(self) -> str:
         """The answer in one line."""
         if self.case == Case.UNDECIDED:
-            return f"undecided: {Status(int(self.out.status)).name}"
+            return f"{CASES[self.case]}: {Status(int(self.out.status)).name.lower()}"
         said = "capturable" if self.out.capturable else "not capturable"
-        return f"{said}: {self.case.name}, margin {float(self.out.margin):+.2f} m/s"
+        return f"{said}: {CASES[self.case]}, margin {float(self.out.margin):+.2f} m/s"
 
     def region(self) -> Float[np.ndarray, "k 2"]:
         """Vertices of the polygon, as far as it is shown and a little farther; perhaps none."""
@@ -80,27 +83,35 @@ class Travel(NamedTuple):
         return clipped((low - beyond, high + beyond, -top, top), self.normals, self.bounds)
 
 
-def travel(cone: CentroidalCone, com, com_velocity, gravity) -> Travel:
-    """The line of travel of one state. Arguments as `jaxcap.capturability` takes them, but the cone by its faces.
+def travel(cone: CentroidalCone, com: ArrayLike, com_velocity: ArrayLike, gravity: ArrayLike) -> Travel:
+    """The line of travel of one state.
 
-    Raises TypeError for rays; ValueError for values that are not finite, and for a velocity of zero, which has no line.
+    Args:
+        cone: From `centroidal_cone`.
+        com: (3,) [m], in the contacts' frame, and so are velocity and gravity.
+        com_velocity: (3,) [m/s].
+        gravity: (3,) [m/s^2].
+
+    Raises:
+        TypeError: For rays.
+        ValueError: For values that are not finite, and for a velocity of zero, which has no line.
     """
     if not isinstance(cone, CentroidalCone):
         raise TypeError(f"cone is a {type(cone).__name__} (expected a CentroidalCone, from `centroidal_cone`)")
-    com, com_velocity = (jnp.asarray(value, jnp.result_type(float)) for value in (com, com_velocity))
-    for name, value in (("com", com), ("com_velocity", com_velocity)):
+    where, velocity = (jnp.asarray(np.asarray(value), jnp.result_type(float)) for value in (com, com_velocity))
+    for name, value in (("com", where), ("com_velocity", velocity)):
         if value.shape != (3,) or not np.isfinite(value).all():
             raise ValueError(f"{name} = {np.asarray(value)} (expected 3 finite numbers)")
-    if not np.any(com_velocity):
+    if not np.any(velocity):
         raise ValueError("com_velocity is zero (expected a direction of travel)")
-    cone = padded_cone(cone)
-    out = capturability(cone, com, com_velocity, gravity)
-    found = _computed(cone, com, com_velocity, jnp.asarray(gravity), out.case)
-    rows, survey, walk, end, along, speed = jax.device_get(found)
+    faces, pull = cone.padded(round_up(max(len(cone.faces), 1), ROWS)), np.asarray(gravity)
+    out = capturability(faces, where, velocity, pull)
+    found = _computed(faces, where, velocity, jnp.asarray(pull), out.case)
+    rows, survey, way, end, along, speed = jax.device_get(found)
     known = bool(survey.feasible) and Case(int(out.case)) != Case.UNDECIDED
     static = (float(survey.s_min), float(survey.s_max)) if survey.standing else None
-    walk = Walk(*(field.astype(float) for field in walk)) if known else None
-    landmarks = np.array([0, end if known else 0, *(static or ()), *(walk.alpha if known else ())])
+    walk = Walk(*(field.astype(float) for field in way)) if known else None
+    landmarks = np.array([0, end if known else 0, *(static or ()), *(walk.alpha if walk else ())])
     landmarks = landmarks[np.isfinite(landmarks)]
     margin = BESIDE * max(NARROWEST, np.ptp(landmarks))
     return Travel(
@@ -112,12 +123,18 @@ def travel(cone: CentroidalCone, com, com_velocity, gravity) -> Travel:
         static=static,
         walk=walk,
         window=(float(landmarks.min() - margin), float(landmarks.max() + margin)),
-        steepest=STEEPEST * float(np.linalg.norm(gravity)),
+        steepest=STEEPEST * float(np.linalg.norm(pull)),
     )
 
 
 @jax.jit
-def _computed(cone, com, com_velocity, gravity, case):
+def _computed(
+    cone: CentroidalCone,
+    com: Float[Array, "3"],
+    com_velocity: Float[Array, "3"],
+    gravity: Shaped[Array, "3"],
+    case: Int8[Array, ""],
+) -> Any:
     """What `capturability` finds on its way, and the walk of a state that ends like this."""
     along, speed = direction(com_velocity)
     rows = polygon(cone, com, along, gravity.astype(com.dtype))
@@ -129,7 +146,9 @@ def _computed(cone, com, com_velocity, gravity, case):
     return rows, survey, walk, lower.end, along, speed
 
 
-def _walk(lower: Boundary, upper: Boundary, s_min, energy, case) -> Walk:
+def _walk(
+    lower: Boundary, upper: Boundary, s_min: Float[Array, ""], energy: Float[Array, ""], case: Int8[Array, ""]
+) -> Walk:
     """The way under maximum deceleration to the first stop or to the end of the boundary; in C3_2_1 the fastest way to rest
     at s_min, least deceleration and then the largest; in C3_2_2 the way under least deceleration to the stop.
 

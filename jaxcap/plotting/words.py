@@ -1,40 +1,23 @@
-"""What is written beside the picture of a map: names, units, places."""
+"""What is written beside the picture of a map: names, units, places; the words are those of `FIELDS` and `AXES`."""
+
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float
 
+from jaxcap.files.fields import FIELDS
 from jaxcap.maps.grid import AXES
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 DEGREES = "deg"
 """Angles of a map are in radians, those of a picture in degrees."""
 WIDEST = 56
 """Longest line of a title, in letters."""
-NAMES = {
-    "com_x": "CoM position x",
-    "com_y": "CoM position y",
-    "com_z": "CoM position z",
-    "velocity_x": "CoM velocity x",
-    "velocity_y": "CoM velocity y",
-    "velocity_z": "CoM velocity z",
-    "margin": "margin",
-    "min_speed": "smallest capturable speed",
-    "max_speed": "largest capturable speed",
-    "paper_margin": "margin of the paper",
-    "distance": "distance to the stop",
-    "time": "time to the stop",
-    "residual_speed": "speed that is left",
-    "heading": "heading",
-    "pitch": "pitch",
-    "speed": "CoM speed",
-    "friction": "friction coefficient",
-    "slope": "slope",
-    "downhill": "downhill",
-    "contact_set": "contact set",
-}
-"""What stands beside an axis or a colour bar, where the map's own `long_name` is too long for that."""
 
 
-def place_of(plane) -> str:
+def place_of(plane: "xr.Dataset") -> str:
     """Where the plane lies: the axes of the map that are not in the picture, in the order of `AXES` (a file has none)."""
     scalars = [plane.coords[name] for name in AXES if name in plane.coords and plane.coords[name].ndim == 0]
     lines = [""]
@@ -45,26 +28,27 @@ def place_of(plane) -> str:
     return ",\n".join(lines)
 
 
-def value_of(scalar) -> str:
+def value_of(scalar: "xr.DataArray") -> str:
     """A coordinate's one value: with its unit, angles in degrees; or its name, if it has one."""
     codes, names = scalar.attrs.get("flag_values", ()), scalar.attrs.get("flag_meanings", "").split()
     named = dict(zip(np.atleast_1d(codes).tolist(), names, strict=False)).get(float(scalar))
     return named or f"{float(values_of(scalar)):.3g} {unit_of(scalar)}".strip()
 
 
-def unit_of(array) -> str:
+def unit_of(array: "xr.DataArray") -> str:
     """As it is shown: empty for pure numbers."""
     unit = array.attrs.get("units", "1")
     return {"1": "", "rad": DEGREES}.get(unit, unit)
 
 
-def values_of(array) -> Float[np.ndarray, "..."]:
+def values_of(array: "xr.DataArray") -> Float[np.ndarray, "..."]:
     """In that unit."""
     values = np.asarray(array, float)
     return np.degrees(values) if unit_of(array) == DEGREES else values
 
 
-def label_of(array) -> str:
-    """What an axis or a field is called, with its unit."""
-    name, unit = NAMES.get(array.name, array.attrs.get("long_name", array.name)), unit_of(array)
+def label_of(array: "xr.DataArray") -> str:
+    """What an axis or a field is called, with its unit. Of a field that is not ours the map says it."""
+    known = FIELDS.get(str(array.name)) or AXES.get(str(array.name))
+    name, unit = known.label if known else array.attrs.get("long_name", array.name), unit_of(array)
     return f"{name} [{unit}]" if unit else str(name)

@@ -9,11 +9,13 @@ plane, (14) has no meaning, and the answer is NaN.
 from typing import NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Num
 
-from jaxcap.contacts.cone import CentroidalCone, ConeRays
+from jaxcap.contacts.cone import CentroidalCone, ConeRays, centred
 from jaxcap.contacts.contact_set import ContactSet
-from jaxcap.contacts.conventions import GRAVITY, FloatArray
+from jaxcap.contacts.conventions import GRAVITY, ArrayLike, FloatArray, checked_gravity
+from jaxcap.contacts.scoring_input import relative
 from jaxcap.regions.plane import across, upward
 from jaxcap.regions.support_distance import hull_distance, support_distance
 
@@ -28,34 +30,59 @@ class Baselines(NamedTuple):
 
 
 def capture_point(
-    com: Num[FloatArray, "*#n 3"], com_velocity: Num[FloatArray, "*#n 3"], height: Num[FloatArray, "*#n"] | float | int,
-    gravity=GRAVITY,
+    com: Num[FloatArray, "*#n 3"],
+    com_velocity: Num[FloatArray, "*#n 3"],
+    height: Num[FloatArray, "*#n"] | float | int,
+    gravity: ArrayLike = GRAVITY,
 ) -> Float[Array, "*n 2"]:
     """Point on the ground where the linear inverted pendulum would have to step to come to rest, (14).
 
-    com: (..., 3) CoM position [m]. com_velocity: (..., 3) [m/s]. height: (...) of the CoM above that ground [m]. Leading
-    axes are broadcast, so that one call takes many heights. gravity: (3,) [m/s^2]. Returns (..., 2) [m] in the frame of
-    `com`, in the plane across gravity (x and y where it points down; else see `plane.across`). NaN where the height is not
-    positive.
+    Leading axes are broadcast, so that one call takes many heights.
+
+    Args:
+        com: (..., 3) CoM position [m].
+        com_velocity: (..., 3) [m/s], in the frame of `com`.
+        height: (...) of the CoM above that ground [m].
+        gravity: (3,) [m/s^2].
+
+    Returns:
+        (..., 2) [m] in the frame of `com`, in the plane across gravity (x and y where it points down; else see
+        `plane.across`). NaN where the height is not positive.
+
+    Raises:
+        TypeError, ValueError: for gravity that is not three finite numbers.
+
+    Source: (14) of the paper; Pratt et al., Capture Point, Humanoids 2006.
     """
     com, com_velocity = jnp.asarray(com), jnp.asarray(com_velocity)
     dtype = jnp.promote_types(jnp.result_type(com, com_velocity), jnp.float32)
-    gravity, height = jnp.asarray(gravity, dtype), jnp.asarray(height, dtype)
-    square = height / jnp.sqrt(jnp.sum(gravity * gravity))
-    time = jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1)), jnp.nan)   # 1 / omega [s]
-    return _projected(com.astype(dtype), gravity) + _projected(com_velocity.astype(dtype), gravity) * time[..., None]
+    pull, height = jnp.asarray(checked_gravity(gravity), dtype), jnp.asarray(height, dtype)
+    square = height / jnp.sqrt(jnp.sum(pull * pull))
+    # The root of what is not positive has no gradient, not even where it is not chosen: it is taken of 1.
+    time = jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1)), jnp.nan)  # 1 / omega [s]
+    return _projected(com.astype(dtype), pull) + _projected(com_velocity.astype(dtype), pull) * time[..., None]
 
 
 def height_above_contacts(
-    cone: CentroidalCone | ConeRays, com: Num[FloatArray, "*n 3"], gravity=GRAVITY
+    cone: CentroidalCone | ConeRays, com: Num[FloatArray, "*n 3"], gravity: ArrayLike = GRAVITY
 ) -> Float[Array, "*n"]:
-    """Height of the CoM above the contacts' centroid, against gravity [m]: the default height of (14).
+    """Height of the CoM above the contacts' centroid, against gravity: the default height of (14).
 
-    cone: of one contact set, or rays of a batch of n, one for each CoM. com: (..., 3) [m]. Negative for a CoM below.
+    Args:
+        cone: of one contact set, or rays of a batch of n, one for each CoM.
+        com: (..., 3) [m], in the contacts' frame.
+        gravity: (3,) [m/s^2].
+
+    Returns:
+        (...) [m], negative for a CoM below.
+
+    Raises:
+        TypeError, ValueError: for gravity that is not three finite numbers.
     """
     com = jnp.asarray(com)
     com = com.astype(jnp.promote_types(com.dtype, jnp.float32))
-    return jnp.sum((com - jnp.asarray(cone.origin, com.dtype)) * upward(jnp.asarray(gravity, com.dtype)), axis=-1)
+    up = upward(jnp.asarray(checked_gravity(gravity), com.dtype))
+    return jnp.sum((com - jnp.asarray(cone.origin, com.dtype)) * up, axis=-1)
 
 
 def baselines(
@@ -64,16 +91,28 @@ def baselines(
     coms: Num[FloatArray, "n 3"],
     com_velocities: Num[FloatArray, "n 3"],
     height: Num[FloatArray, "..."] | float | int | None = None,
-    gravity=GRAVITY,
+    gravity: ArrayLike = GRAVITY,
 ) -> Baselines:
     """Signed distance of the capture point to the support polygon and to the hull of the contact points, for many states.
 
-    cone: from `centroidal_cone` or `cone_rays`, of these `contacts`; both of one contact set, or both batches of n: a set
-    for each state. coms: (n, 3) [m]. com_velocities: (n, 3) [m/s]. height: of the CoM [m]: one number, (n,), or (n, h) for h
-    heights of each state; by default `height_above_contacts`. gravity: (3,) [m/s^2]. Fields have shape (n,), or (n, h).
+    Args:
+        cone: from `centroidal_cone` or `cone_rays`, of these `contacts`; both of one contact set, or both batches of n: a
+            set for each state.
+        contacts: those of the cone.
+        coms: (n, 3) [m], in the contacts' frame.
+        com_velocities: (n, 3) [m/s].
+        height: of the CoM [m]: one number, (n,), or (n, h) for h heights of each state; by default `height_above_contacts`.
+        gravity: (3,) [m/s^2].
 
-    A state whose distance is not known has NaN: numbers that are not finite, a height that is not positive.
+    Returns:
+        Distances of shape (n,), or (n, h). A state whose distance is not known has NaN: numbers that are not finite, a
+        height that is not positive.
+
+    Raises:
+        TypeError, ValueError: for gravity that is not three finite numbers.
     """
+    if isinstance(coms, np.ndarray) and isinstance(contacts.points, np.ndarray) and isinstance(cone.origin, np.ndarray):
+        (cone, coms), (contacts, _) = relative(cone, coms), centred(contacts)  # before anything is rounded
     coms, com_velocities = jnp.asarray(coms), jnp.asarray(com_velocities)
     if height is None:
         height = height_above_contacts(cone, coms, gravity)
@@ -84,5 +123,5 @@ def baselines(
     return Baselines(support_distance(cone, points, gravity), hull_distance(contacts, points, gravity))
 
 
-def _projected(vector, gravity):
+def _projected(vector: Float[Array, "*n 3"], gravity: Float[Array, "3"]) -> Float[Array, "*n 2"]:
     return jnp.sum(vector[..., None, :] * across(gravity), axis=-1)

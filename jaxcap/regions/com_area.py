@@ -6,6 +6,7 @@ are one interval, its ends are found by bisection, and the room for more speed i
 position is found. Nothing is assumed from one line to the next.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -15,7 +16,7 @@ from scipy.optimize import linprog
 
 from jaxcap.batch.score import score
 from jaxcap.contacts.cone import CentroidalCone, ConeRays
-from jaxcap.contacts.conventions import GRAVITY, FloatArray
+from jaxcap.contacts.conventions import GRAVITY, ArrayLike, FloatArray, checked_gravity
 from jaxcap.one_state.line import survey_of_lanes
 
 PLACES = 48
@@ -24,6 +25,12 @@ ZOOMS = 4
 """Times that they close in on the one with the most room."""
 CUTS = 12
 """Times that they close in on the ends: half of them at each end, so that the last are apart by rounding."""
+
+
+Places = Float[np.ndarray, "lines m"]
+"""Of positions on the lines, counted from their starts, along the velocity [m]."""
+Room = Callable[[Places], Places]
+"""Speed that could be added or shed at these places [m/s]."""
 
 
 class ComArea(NamedTuple):
@@ -35,7 +42,7 @@ class ComArea(NamedTuple):
     """[m], NaN where a line has no such position."""
 
     def outline(self) -> list[Float[np.ndarray, "m 2"]]:
-        """A polygon, counter-clockwise, for each run of neighbouring lines with positions."""
+        """A closed line (m, 2) [m], counter-clockwise, for each run of neighbouring lines with positions."""
         some = np.isfinite(self.rear).all(axis=1)
         runs = np.split(np.arange(len(some)), np.flatnonzero(np.diff(some)) + 1)
         return [np.concatenate([self.front[run], self.rear[run[::-1]]]) for run in runs if some[run[0]]]
@@ -43,7 +50,7 @@ class ComArea(NamedTuple):
     def size(self) -> float:
         """Area inside the outlines [m^2]."""
         cross = lambda a, b: a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
-        return float(sum(cross(polygon, np.roll(polygon, -1, axis=0)).sum() / 2 for polygon in self.outline()))
+        return float(sum(cross(ring, np.roll(ring, -1, axis=0)).sum() / 2 for ring in self.outline()))
 
 
 def com_area(
@@ -52,18 +59,30 @@ def com_area(
     height: float,
     lines: int = 64,
     reach: float = 2.0,
-    gravity=GRAVITY,
+    gravity: ArrayLike = GRAVITY,
 ) -> ComArea:
     """From where, in the horizontal plane at `height`, is this velocity capturable? Host only.
 
-    cone: from `centroidal_cone` or `cone_rays`, of one contact set. com_velocity: (3,) [m/s], horizontal, not zero (a robot
-    at rest has its support polygon). height: z of the CoM [m]. lines: parallel to the velocity, closer together at the
-    sides. reach: positions are looked for within this of the contacts' centroid, along the velocity and across [m]; a set
-    that goes farther is cut there. gravity: (3,) [m/s^2]. All in the contacts' frame, z up. In double precision under JAX's
-    x64 switch, else in single.
+    All in the contacts' frame, z up. In double precision under JAX's x64 switch, else in single.
 
-    Raises ValueError for a velocity that is zero, not horizontal or not finite, and for fewer than 2 lines.
+    Args:
+        cone: from `centroidal_cone` or `cone_rays`, of one contact set.
+        com_velocity: (3,) [m/s], horizontal, not zero (a robot at rest has its support polygon).
+        height: z of the CoM [m].
+        lines: how many are cut, parallel to the velocity, closer together at the sides; >= 2.
+        reach: positions are looked for within this of the contacts' centroid, along the velocity and across [m]; a set that
+            goes farther is cut there.
+        gravity: (3,) [m/s^2].
+
+    Returns:
+        Where each line has such positions.
+
+    Raises:
+        ValueError: for a velocity that is zero, not horizontal or not finite, for fewer than 2 lines, or for gravity
+            that is not finite.
+        TypeError: for gravity that is not three numbers.
     """
+    checked_gravity(gravity)
     com_velocity = np.asarray(com_velocity, float)
     speed = np.linalg.norm(com_velocity)
     if com_velocity.shape != (3,) or not np.isfinite(speed) or speed == 0 or com_velocity[2] != 0:
@@ -77,37 +96,41 @@ def com_area(
     spread = -np.cos(np.pi * (np.arange(lines) + 0.5) / lines)
     starts = base + (sides.mean() + np.diff(sides) / 2 * spread)[:, None] * across
 
-    def room(places):
-        """Speed that could be added or shed at these places (lines, m) [m/s]; minus infinity where none is capturable."""
+    def room(places: Places) -> Places:
+        """Speed that could be added or shed at these places [m/s]; minus infinity where none is capturable."""
         coms = starts[:, None] + places[..., None] * along
         flat = coms.reshape(-1, 3)
         out = score(cone, flat, np.broadcast_to(com_velocity, flat.shape), gravity)
         low, high = np.asarray(out.min_speed), np.asarray(out.max_speed)
-        left = np.where(high > 0, np.minimum(high - speed, np.where(low > 0, speed - low, np.inf)), -np.inf)
-        return np.where(np.isnan(high), -np.inf, left).reshape(places.shape)
+        both_ways = np.minimum(high - speed, np.where(low > 0, speed - low, np.inf))
+        return np.where(~np.isnan(high) & (high > 0), both_ways, -np.inf).reshape(places.shape)
 
-    inside, most = _roomiest(room, *_rest(cone, starts, along, reach, gravity), reach)
+    low, high = _rest(cone, starts, along, reach, gravity)
+    inside, most = _roomiest(room, low, high, reach)
     ends = np.where(most[:, None] >= 0, _ends(room, inside, reach), np.nan)
     return ComArea(*(starts[:, :2] + ends[:, [i]] * along[:2] for i in (0, 1)))
 
 
-def _sides(cone, across, gravity):
+def _sides(
+    cone: CentroidalCone | ConeRays, across: Float[np.ndarray, "3"], gravity: Float[np.ndarray, "3"]
+) -> Float[np.ndarray, "2"]:
     """How far the places of rest extend to both sides of the contacts' centroid [m]; NaN where there are none.
 
     Linear programs over the arm of the CoM, in sizes of the stance, and the rays' weights, in units of the robot's weight.
     """
     length = float(cone.length)
     up = -gravity / np.linalg.norm(gravity)
-    turn = np.cross(np.eye(3), up).T   # the torque of a robot at rest on its CoM's arm
+    turn = np.cross(np.eye(3), up).T  # the torque of a robot at rest on its CoM's arm
+    arm: list[tuple[float | None, float | None]] = [(None, None)] * 3
     if isinstance(cone, CentroidalCone):
         faces = np.asarray(cone.faces, float)
         limits = {"A_ub": faces[:, 3:] * length @ turn, "b_ub": -faces[:, :3] @ up}
-        bounds = [(None, None)] * 3
+        bounds = arm
     else:
         rays = np.asarray(cone.rays, float).T / np.array([1, 1, 1, length, length, length])[:, None]
-        arm = np.concatenate([np.zeros((3, 3)), -turn])
-        limits = {"A_eq": np.concatenate([arm, rays], axis=1), "b_eq": np.concatenate([up, np.zeros(3)])}
-        bounds = [(None, None)] * 3 + [(0, None)] * rays.shape[1]
+        balanced = np.concatenate([np.zeros((3, 3)), -turn])
+        limits = {"A_eq": np.concatenate([balanced, rays], axis=1), "b_eq": np.concatenate([up, np.zeros(3)])}
+        bounds = arm + [(0, None)] * rays.shape[1]
     found = []
     for sign in (-1, 1):
         cost = np.zeros(len(bounds))
@@ -118,7 +141,13 @@ def _sides(cone, across, gravity):
     return np.array(found)
 
 
-def _rest(cone, starts, along, reach, gravity):
+def _rest(
+    cone: CentroidalCone | ConeRays,
+    starts: Float[np.ndarray, "lines 3"],
+    along: Float[np.ndarray, "3"],
+    reach: float,
+    gravity: ArrayLike,
+) -> tuple[Float[np.ndarray, " lines"], Float[np.ndarray, " lines"]]:
     """Places of rest on each line, from and to (lines,) [m]; NaN where there are none within reach."""
     known = np.where(np.isfinite(starts), starts, 0)
     survey = survey_of_lanes(cone, jnp.asarray(known.T), jnp.asarray(np.tile(along[:, None], len(starts))), gravity)
@@ -127,7 +156,9 @@ def _rest(cone, starts, along, reach, gravity):
     return np.where(some, low, np.nan), np.where(some, high, np.nan)
 
 
-def _roomiest(room, low, high, reach):
+def _roomiest(
+    room: Room, low: Float[np.ndarray, " lines"], high: Float[np.ndarray, " lines"], reach: float
+) -> tuple[Float[np.ndarray, " lines"], Float[np.ndarray, " lines"]]:
     """The place (lines,) on each line with the most room, and that room; low, high: places of rest, NaN without."""
     end = np.full_like(low, reach)
     places = np.concatenate([_between(a, b, 3) for a, b in ((-end, low), (low, high), (high, end))], axis=1)
@@ -141,7 +172,7 @@ def _roomiest(room, low, high, reach):
     return inside, np.take_along_axis(rooms, best, 1)[:, 0]
 
 
-def _ends(room, inside, reach):
+def _ends(room: Room, inside: Float[np.ndarray, " lines"], reach: float) -> Float[np.ndarray, "lines 2"]:
     """The rear and the front end (lines, 2) of the positions with room, which hold `inside` (lines,)."""
     inside = np.stack([inside, inside], axis=1)
     outside = np.broadcast_to([-reach, reach], inside.shape)
@@ -156,6 +187,6 @@ def _ends(room, inside, reach):
     return inside
 
 
-def _between(start, stop, parts: int):
+def _between(start: Float[np.ndarray, " lines"], stop: Float[np.ndarray, " lines"], parts: int) -> Places:
     """Places (lines, PLACES / parts) from start (lines,) to stop (lines,)."""
     return start[:, None] + np.linspace(0, 1, PLACES // parts) * (stop - start)[:, None]

@@ -5,31 +5,40 @@ points down. Arrays of the walk carry their lanes last.
 """
 
 import math
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from jaxcap.contacts.conventions import ArrayLike
 from jaxcap.numerics.guarded import ratio, root
 
 AROUND = 2 * math.pi + 0.1
 """A walk ends when its normal has turned by this [rad]: a little more than once around, for the walk may begin inside an
 edge that is made of several collinear ones, and rounding turns the normal too."""
 
-def across(gravity) -> Float[Array, "2 3"]:
+
+def across(gravity: ArrayLike) -> Float[Array, "2 3"]:
     """Two unit vectors across gravity and each other, as rows: x and y where gravity points down.
 
-    Together with the direction against gravity they are right-handed. Exact for any gravity but zero (Duff et al., Building
-    an Orthonormal Basis, Revisited, JCGT 2017).
+    Args:
+        gravity: (3,) [m/s^2], any but zero.
+
+    Returns:
+        (2, 3); right-handed together with the direction against gravity.
+
+    Source: Duff et al., Building an Orthonormal Basis, Revisited, JCGT 2017.
     """
     x, y, z = upward(gravity)
+    # The sign keeps sign + z away from zero, whichever way gravity points.
     sign = jnp.where(z < 0, -1, 1).astype(z.dtype)
     a = -1 / (sign + z)
     return jnp.array([[1 + sign * x * x * a, sign * x * y * a, -sign * x], [x * y * a, sign + y * y * a, -y]])
 
 
-def upward(gravity) -> Float[Array, "3"]:
+def upward(gravity: ArrayLike) -> Float[Array, "3"]:
     """Unit vector against gravity."""
     gravity = jnp.asarray(gravity)
     return -gravity / jnp.sqrt(jnp.sum(gravity * gravity))
@@ -85,6 +94,10 @@ class Edge(NamedTuple):
     """What the producer has to know about the next vertex."""
 
 
+Follow = Callable[[Float[Array, "2 *n"], Float[Array, "2 *n"], Any], Edge]
+"""(normal, vertex, memory) -> the edge that begins at the vertex."""
+
+
 class Around(NamedTuple):
     """Where a walk around a region stands."""
 
@@ -98,15 +111,32 @@ class Around(NamedTuple):
     sound: Bool[Array, "*n"]
     """False where the producer was lost."""
     nearest: Nearest
-    count: Int[Array, ""]
+    edges: Int[Array, ""]
+    """Walked so far."""
     memory: Any
 
 
-def walk_around(follow, vertex: Float[Array, "2 *n"], memory, points: Float[Array, "2 m *n"], active, most: int):
-    """`Nearest` of these points, and whether it is to be trusted: all of the way around was walked.
+def walk_around(
+    follow: Follow,
+    vertex: Float[Array, "2 *n"],
+    memory: Any,
+    points: Float[Array, "2 m *n"],
+    active: Bool[Array, "*n"],
+    most: int,
+) -> tuple[Nearest, Bool[Array, "*n"]]:
+    """The edges that are nearest to these points, found by walking around the region once.
 
-    follow(normal, vertex, memory) -> Edge. vertex: one that lies farthest along the first axis. active: lanes that have a
-    vertex. most: largest number of edges. Of a region without edges that count, `Nearest.distance` is infinite.
+    Args:
+        follow: (normal, vertex, memory) -> the edge that begins at the vertex.
+        vertex: one that lies farthest along the first axis.
+        memory: what `follow` has to know about that vertex.
+        points: for which the nearest edges are sought.
+        active: lanes that have a vertex.
+        most: largest number of edges.
+
+    Returns:
+        The nearest edges (of a region without edges that count, `Nearest.distance` is infinite), and the lanes in which they
+        are to be trusted: all of the way around was walked.
     """
     east = jnp.zeros_like(vertex).at[0].set(1)
     no_edge = Nearest(jnp.zeros_like(points), jnp.full(points.shape[1:], jnp.inf, points.dtype), jnp.zeros_like(points))
@@ -117,17 +147,17 @@ def walk_around(follow, vertex: Float[Array, "2 *n"], memory, points: Float[Arra
         running=active,
         sound=jnp.ones_like(active),
         nearest=no_edge,
-        count=jnp.int32(0),
+        edges=jnp.int32(0),
         memory=memory,
     )
     last = jax.lax.while_loop(
-        lambda state: jnp.any(state.running) & (state.count < most), lambda state: _next_edge(follow, points, state), start
+        lambda state: jnp.any(state.running) & (state.edges < most), lambda state: _next_edge(follow, points, state), start
     )
     return last.nearest, last.sound & ~last.running
 
 
-def _next_edge(follow, points, state: Around) -> Around:
-    normal, vertex, turned, running, sound, nearest, count, memory = state
+def _next_edge(follow: Follow, points: Float[Array, "2 m *n"], state: Around) -> Around:
+    normal, vertex, turned, running, sound, nearest, edges, memory = state
     edge = follow(normal, vertex, memory)
     # Without an edge the vertex is all of the region: a square without length says so.
     along = jnp.where(edge.exists, edge.along, -normal)
@@ -145,12 +175,20 @@ def _next_edge(follow, points, state: Around) -> Around:
         running=goes_on,
         sound=sound,
         nearest=_nearer(nearest, points, vertex, along, outwards, length, running & edge.counts),
-        count=count + 1,
+        edges=edges + 1,
         memory=jax.tree.map(choose, edge.memory, memory),
     )
 
 
-def _nearer(nearest: Nearest, points, start, along, outwards, length, counts) -> Nearest:
+def _nearer(
+    nearest: Nearest,
+    points: Float[Array, "2 m *n"],
+    start: Float[Array, "2 *n"],
+    along: Float[Array, "2 *n"],
+    outwards: Float[Array, "2 *n"],
+    length: Float[Array, "*n"],
+    counts: Bool[Array, "*n"],
+) -> Nearest:
     """Of the edges so far and this one, the nearest."""
     normal, offset, foot = nearest
     own = jnp.sum(outwards * start, axis=0)
@@ -167,20 +205,28 @@ def _nearer(nearest: Nearest, points, start, along, outwards, length, counts) ->
     )
 
 
-def first_edge(normal: Float[Array, "2 *n"], ways: Float[Array, "2 k *n"], scale: Float[Array, "*n"], same: float):
+def first_edge(
+    normal: Float[Array, "2 *n"], ways: Float[Array, "2 k *n"], scale: Float[Array, "*n"], same: float
+) -> tuple[Int[Array, "*n"], Bool[Array, "*n"]]:
     """Which of the ways from a vertex into the region goes along its next edge, counterclockwise: the most outward one.
 
-    normal: as in `Around`. scale: of the numbers that the ways are differences of. same: ways this short, relative to the
-    scale, are none. Returns the index (k: there is none), and whether all ways lead into the region, as they must: to the
-    square root of a rounding error, which is how far the distance may be wrong.
+    Args:
+        normal: as in `Around`.
+        ways: from the vertex to other points of the region.
+        scale: of the numbers that the ways are differences of.
+        same: ways this short, relative to the scale, are none.
+
+    Returns:
+        The index (k: there is none), and whether all ways lead into the region, as they must: to the square root of a
+        rounding error, which is how far the distance may be wrong.
     """
     noise = same * scale
     out = jnp.sum(normal[:, None] * ways, axis=0)
-    left = jnp.sum(rotated(normal)[:, None] * ways, axis=0)
-    size = jnp.abs(out) + jnp.abs(left)
+    ahead = jnp.sum(rotated(normal)[:, None] * ways, axis=0)
+    size = jnp.abs(out) + jnp.abs(ahead)
     real = size > noise
-    # Rises with the angle from left, 0, over inwards, 1, to right, 2.
-    angle = 1 - ratio(left, jnp.maximum(-out, 0) + jnp.abs(left), otherwise=1.0)
+    # Rises with the angle from straight ahead, 0, over inwards, 1, to back, 2.
+    angle = 1 - ratio(ahead, jnp.maximum(-out, 0) + jnp.abs(ahead), otherwise=1.0)
     first = jnp.min(jnp.where(real, angle + ratio(noise, size), jnp.inf), axis=0)
     # Of all that rounding cannot tell apart, the longest.
     longest = jnp.max(jnp.where(real & (angle <= first), size, 0), axis=0)

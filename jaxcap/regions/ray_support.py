@@ -48,7 +48,9 @@ class Corner(NamedTuple):
     """No weight was farther below zero than it may be."""
 
 
-def nearest_of_rays(rays: ConeRays, points: Float[Array, "2 m *n"], gravity: Float[Array, "3"]):
+def nearest_of_rays(
+    rays: ConeRays, points: Float[Array, "2 m *n"], gravity: Float[Array, "3"]
+) -> tuple[Nearest, Bool[Array, "*n"], Bool[Array, "*n"]]:
     """`Nearest` of points to the support polygon; whether the polygon is not empty; whether to trust that.
 
     rays: with lanes last. points, and the answer: relative to the contacts' centroid, in sizes of the stance.
@@ -72,14 +74,16 @@ def nearest_of_rays(rays: ConeRays, points: Float[Array, "2 m *n"], gravity: Flo
     return jax.lax.while_loop(again, attempt, start)[1:]
 
 
-def _nearest(program: Program, positions, points, active):
+def _nearest(
+    program: Program, positions: Array, points: Array, active: Bool[Array, "*n"]
+) -> tuple[Nearest, Bool[Array, "*n"], Bool[Array, "*n"]]:
     """`nearest_of_rays` in lanes that are active, the walk beginning on the side of the first axis."""
     start = simplex.identity(active.shape, points.dtype)
     found = simplex.solve(program, simplex.freed(program, start), active)
     stands, decided = found.outcome == Outcome.OPTIMAL, found.outcome != Outcome.UNDECIDED
     slack_ray, same = program.rays.shape[1] - 1, tolerances(points.dtype).reduced_cost
 
-    def follow(normal, vertex, corner: Corner) -> Edge:
+    def follow(normal: Array, vertex: Array, corner: Corner) -> Edge:
         basis = corner.basis
         dual = _dual(positions, basis)
         ways = positions - jnp.stack([simplex.combination(row, program.rays) for row in dual])
@@ -90,17 +94,17 @@ def _nearest(program: Program, positions, points, active):
         following = _corner(program, simplex.pivot(basis, leaving, entering, direction, exists & pivots), corner.target)
         way = column(ways, entering)
         way = way / jnp.where(exists, jnp.sqrt(jnp.sum(way * way, axis=0)), 1)
-        loaded = jnp.any(basis.index == slack_ray, axis=0) | (entering == slack_ray)
+        loaded = jnp.any(basis.chosen == slack_ray, axis=0) | (entering == slack_ray)
         sound &= (pivots | ~exists) & following.sound
         return Edge(way, _position(positions, following), exists, loaded | ~exists, sound, following)
 
     # The pivots until here have spoilt the inverse.
-    first = _corner(program, simplex.factorised(program, found.basis.index), program.target)
+    first = _corner(program, simplex.factorised(program, found.basis.chosen), program.target)
     nearest, sound = walk_around(follow, _position(positions, first), first, points, active & stands, MAX_EDGES)
     return nearest, stands, decided & (sound & first.sound | ~stands)
 
 
-def _program(rays: ConeRays, up, axes) -> tuple[Program, Float[Array, "2 r *n"]]:
+def _program(rays: ConeRays, up: Array, axes: Array) -> tuple[Program, Float[Array, "2 r *n"]]:
     """The program of the vertex farthest along the first axis, and the rays' positions; the last ray is the load's slack."""
     columns = jnp.swapaxes(rays.rays, 0, 1)
     forces, torques = columns[:3], columns[3:] / rays.length
@@ -117,13 +121,13 @@ def _program(rays: ConeRays, up, axes) -> tuple[Program, Float[Array, "2 r *n"]]
     return Program(columns, unit(5, 6), target, jnp.ones(columns.shape[2:], columns.dtype)), positions
 
 
-def _at_basis(positions, basis: Basis) -> Float[Array, "2 6 *n"]:
+def _at_basis(positions: Array, basis: Basis) -> Float[Array, "2 6 *n"]:
     """Positions of the rays of a basis; unit columns and the free one have none."""
-    found = jnp.take_along_axis(positions, jnp.clip(basis.index, 0, positions.shape[1] - 1)[None], axis=1)
-    return jnp.where(basis.index >= 0, found, 0)
+    found = jnp.take_along_axis(positions, jnp.clip(basis.chosen, 0, positions.shape[1] - 1)[None], axis=1)
+    return jnp.where(basis.chosen >= 0, found, 0)
 
 
-def _dual(positions, basis: Basis) -> Float[Array, "2 6 *n"]:
+def _dual(positions: Array, basis: Basis) -> Float[Array, "2 6 *n"]:
     """What a change of each row moves the CoM by."""
     own = _at_basis(positions, basis)
     return jnp.stack([simplex.combination(own[i], basis.inverse) for i in range(2)])
@@ -133,21 +137,21 @@ def _corner(program: Program, basis: Basis, target: Float[Array, "6 *n"]) -> Cor
     """The vertex of a basis, its inverse improved."""
     basis = simplex.improved(program, basis)
     held = simplex.times(basis.inverse, target)
-    missing = jnp.where(basis.index >= 0, jnp.maximum(-held, 0), 0)
-    moved = target + jnp.sum(simplex.columns(program, basis.index) * missing, axis=1)
+    missing = jnp.where(basis.chosen >= 0, jnp.maximum(-held, 0), 0)
+    moved = target + jnp.sum(simplex.columns(program, basis.chosen) * missing, axis=1)
     sound = jnp.max(missing, axis=0) <= LOST * SHORT[jnp.finfo(held.dtype).bits]
     return Corner(basis, moved, held + missing, sound)
 
 
-def _position(positions, corner: Corner) -> Float[Array, "2 *n"]:
+def _position(positions: Array, corner: Corner) -> Float[Array, "2 *n"]:
     return jnp.sum(_at_basis(positions, corner.basis) * corner.weights, axis=1)
 
 
-def _leaving(corner: Corner, direction) -> tuple[Bool[Array, "6 *n"], Bool[Array, "*n"]]:
+def _leaving(corner: Corner, direction: Array) -> tuple[Bool[Array, "6 *n"], Bool[Array, "*n"]]:
     """The column that comes to zero first as a ray comes in, as far as rounding can tell, and whether there is any."""
-    index = corner.basis.index
+    index = corner.basis.chosen
     unit = index <= UNIT
     size = jnp.where(unit, jnp.abs(direction), direction)
     falls = (index != FREE) & (size > tolerances(direction.dtype).pivot)
-    left = jnp.where(unit, 0, corner.weights)
-    return simplex.leaving_of(falls, left, size, SHORT[jnp.finfo(direction.dtype).bits], size)
+    above = jnp.where(unit, 0, corner.weights)
+    return simplex.leaving_of(falls, above, size, SHORT[jnp.finfo(direction.dtype).bits], size)

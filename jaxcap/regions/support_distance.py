@@ -1,15 +1,17 @@
 """Signed distances of points to support polygons, and to hulls of contact points: one region for all, or each its own."""
 
+from collections.abc import Callable
 from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Num
 
-from jaxcap.batch.blocks import RAYS_BLOCK, block_of, over_chunks, side_by_side
+from jaxcap.batch.blocks import RAYS_BLOCK, block_of, over_blocks, over_chunks
 from jaxcap.contacts.cone import CentroidalCone, ConeRays
 from jaxcap.contacts.contact_set import ContactSet
-from jaxcap.contacts.conventions import GRAVITY, FloatArray
+from jaxcap.contacts.conventions import GRAVITY, ArrayLike, FloatArray
 from jaxcap.regions.plane import Edge, across, column, first_edge, walk_around
 from jaxcap.regions.ray_support import nearest_of_rays
 from jaxcap.regions.support_polygon import SupportPolygon, support_polygon
@@ -19,17 +21,28 @@ SAME_POINT = 8
 
 
 def support_distance(
-    support: SupportPolygon | CentroidalCone | ConeRays, points: Num[FloatArray, "*n 2"], gravity=GRAVITY
+    support: SupportPolygon | CentroidalCone | ConeRays, points: Num[FloatArray, "*n 2"], gravity: ArrayLike = GRAVITY
 ) -> Float[Array, "*n"]:
     """Signed distance of points in the plane across gravity to the support polygon: positive inside, minus the Euclidean
     distance outside [m].
 
-    support: a polygon, a cone whose polygon is made first, or rays: of one contact set, or with a leading axis of n, a set
-    for each row of `points`. points: (..., 2) [m], such as capture points; (n, m, 2) for m points for each of n sets.
-    gravity: (3,) [m/s^2], not used with a polygon. The dtype of `points` decides the precision. Infinite where the robot can
-    stand everywhere, minus infinite where nowhere; NaN for a point or contacts that are not finite, or where no answer was
-    found. Differentiable in the points; the polygon is taken for fixed. With rays or a polygon it works under jit, vmap and
-    grad. Raises TypeError for wrong shapes.
+    Differentiable in the points; the polygon is taken for fixed. With rays or a polygon it works under jit, vmap and grad.
+
+    Args:
+        support: a polygon, a cone whose polygon is made first, or rays: of one contact set, or with a leading axis of n, a
+            set for each row of `points`.
+        points: (..., 2) [m], such as capture points; (n, m, 2) for m points for each of n sets. Their dtype decides the
+            precision.
+        gravity: (3,) [m/s^2], not used with a polygon.
+
+    Returns:
+        (...,) [m]: infinite where the robot can stand everywhere, minus infinite where nowhere; NaN for a point or contacts
+        that are not finite, or where no answer was found.
+
+    Raises:
+        TypeError: for wrong shapes.
+
+    Source: Bretl and Lall, Testing Static Equilibrium for Legged Robots, T-RO 2008, whose region it is.
     """
     points = _floats(points)
     if isinstance(support, CentroidalCone):
@@ -37,43 +50,52 @@ def support_distance(
     if isinstance(support, SupportPolygon):
         return support.distance(points)
     support = ConeRays(*(x if x.dtype == bool else x.astype(points.dtype) for x in map(jnp.asarray, support)))
-    return _distances(_to_rays, "rays", support, support.rays.ndim == 3, points, gravity)
+    return _distances(_to_rays, "rays", support, support.batched, points, gravity)
 
 
-def hull_distance(contacts: ContactSet, points: Num[FloatArray, "*n 2"], gravity=GRAVITY) -> Float[Array, "*n"]:
+def hull_distance(contacts: ContactSet, points: Num[FloatArray, "*n 2"], gravity: ArrayLike = GRAVITY) -> Float[Array, "*n"]:
     """Signed distance of points to the convex hull of the contact points, projected along gravity, as `support_distance`.
 
-    contacts: one set, or a batch of n, a set for each row of `points`. Masked contacts are left out; without any other the
-    distance is minus infinite. Frames and friction do not matter, so only for coplanar contacts is this the support polygon.
+    Frames and friction do not matter, so only for coplanar contacts is this the support polygon.
+
+    Args:
+        contacts: one set, or a batch of n, a set for each row of `points`. Masked contacts are left out.
+        points: (..., 2) [m], as for `support_distance`.
+        gravity: (3,) [m/s^2].
+
+    Returns:
+        (...,) [m]; minus infinite without a contact that is not masked.
+
+    Raises:
+        TypeError: for wrong shapes.
     """
     points, contacts = _floats(points), contacts.padded(max(1, len(contacts)))
     positions, mask = jnp.asarray(contacts.points).astype(points.dtype), jnp.asarray(contacts.mask)
     return _distances(_to_hull, "contacts", (positions, mask), mask.ndim == 2, points, gravity)
 
 
-def _floats(points) -> Float[Array, "*n 2"]:
+def _floats(points: Any) -> Float[Array, "*n 2"]:
     points = jnp.asarray(points)
     if points.shape[-1:] != (2,):
         raise TypeError(f"points has shape {points.shape} (expected (..., 2))")
     return points.astype(jnp.promote_types(points.dtype, jnp.float32))
 
 
-def _distances(one, name: str, region, own: bool, points, gravity):
+def _distances(one: Callable, name: str, region: Any, own: bool, points: Array, gravity: ArrayLike) -> Array:
     """`one`(region, points, gravity), lanes last, of points (..., 2) and one region, or a region for each row of points."""
-    gravity = jnp.asarray(gravity, points.dtype)
+    pull = jnp.asarray(gravity, points.dtype)
     if not own:
-        answer = _compiled_one(one, region, jnp.moveaxis(points.reshape(-1, 2), -1, 0), gravity)
+        answer = _compiled_one(one, region, jnp.moveaxis(points.reshape(-1, 2), -1, 0), pull)
         return answer.reshape(points.shape[:-1])
     n, sets = points.shape[0], jax.tree.leaves(region)[0].shape[0]
     if points.ndim < 2 or n != sets:
         raise TypeError(f"points has shape {points.shape} and {name} {sets} contact sets (expected a row for each)")
     rows = points.reshape(n, -1, 2)
     if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves((region, rows))):
-        answer = _compiled_block(one, (region, rows), gravity)
+        answer = _compiled_block(one, (region, rows), pull)
     else:
-        run = lambda start: _compiled_block(one, block_of((region, rows), n, start, RAYS_BLOCK), gravity)
-        first, *starts = range(0, max(n, 1), RAYS_BLOCK)
-        answer = jnp.concatenate([run(first), *side_by_side(run, starts)])[:n]
+        run = lambda start: _compiled_block(one, block_of((region, rows), n, start, RAYS_BLOCK), pull)
+        answer = over_blocks(run, n, RAYS_BLOCK)
     return answer.reshape(points.shape[:-1])
 
 
@@ -81,7 +103,7 @@ _compiled_one = jax.jit(lambda one, *arguments: one(*arguments), static_argnums=
 
 
 @partial(jax.jit, static_argnums=0)
-def _compiled_block(one, rows, gravity):
+def _compiled_block(one: Callable, rows: tuple, gravity: Array) -> Array:
     return over_chunks(lambda lanes: one(lanes[0], jnp.moveaxis(lanes[1], 1, 0), gravity), rows)
 
 
@@ -91,7 +113,7 @@ def _finite(points):
     return jnp.where(known, points, 0), known
 
 
-def _to_rays(rays: ConeRays, points: Float[Array, "2 m *n"], gravity) -> Float[Array, "m *n"]:
+def _to_rays(rays: ConeRays, points: Float[Array, "2 m *n"], gravity: Array) -> Float[Array, "m *n"]:
     points, finite = _finite(points)
     origin = jnp.tensordot(across(gravity), rays.origin, axes=1, precision=jax.lax.Precision.HIGHEST)
     local = (points - origin[:, None]) / rays.length
@@ -100,15 +122,15 @@ def _to_rays(rays: ConeRays, points: Float[Array, "2 m *n"], gravity) -> Float[A
     return jnp.where(finite & known, distance, jnp.nan)
 
 
-def _to_hull(contacts, points: Float[Array, "2 m *n"], gravity) -> Float[Array, "m *n"]:
+def _to_hull(contacts: tuple[Array, Array], points: Float[Array, "2 m *n"], gravity: Array) -> Float[Array, "m *n"]:
     points, finite = _finite(points)
-    positions, mask = jax.lax.stop_gradient(contacts)   # (k, 3, *n), (k, *n)
+    positions, mask = jax.lax.stop_gradient(contacts)  # (k, 3, *n), (k, *n)
     origin = jnp.sum(jnp.where(mask[:, None], positions, 0), axis=0) / jnp.maximum(jnp.sum(mask, axis=0), 1)
     project = lambda arms: jnp.tensordot(across(gravity), arms, axes=(1, 1), precision=jax.lax.Precision.HIGHEST)
     corners = jnp.where(mask, project(jnp.where(mask[:, None], positions - origin, 0)), 0)
     size, same = jnp.max(jnp.abs(corners), axis=(0, 1)), SAME_POINT * float(jnp.finfo(points.dtype).eps)
 
-    def follow(normal, vertex, _) -> Edge:
+    def follow(normal: Array, vertex: Array, _: Any) -> Edge:
         ways = jnp.where(mask, corners - vertex[:, None], 0)
         index, sound = first_edge(normal, ways, size, same)
         end, exists = column(corners, index), index < len(mask)

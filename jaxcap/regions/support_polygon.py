@@ -4,7 +4,7 @@ With zero acceleration a face is a half-plane in the plane across gravity. Each 
 is left of it is an edge. So no case is special: no region, a point, a segment, a strip, the whole plane.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jaxcap.contacts.cone import CentroidalCone
-from jaxcap.contacts.conventions import GRAVITY, FloatArray
+from jaxcap.contacts.conventions import GRAVITY, ArrayLike, FloatArray, checked_gravity
 from jaxcap.numerics.guarded import tolerances
 from jaxcap.regions.plane import Nearest, across, rotated, upward
 
@@ -50,13 +50,20 @@ class SupportPolygon(NamedTuple):
     """Nowhere can the robot stand."""
 
     def distance(self, points: Float[Array, "*n 2"]) -> Float[Array, "*n"]:
-        """Signed distance of points [m], as `support_distance` has it."""
+        """Signed distance of points, as `support_distance` has it.
+
+        Args:
+            points: (..., 2) [m], in the plane across gravity.
+
+        Returns:
+            (...) [m], positive inside.
+        """
         known = jnp.all(jnp.isfinite(points), axis=-1)
         local = jnp.where(known[..., None], points - jnp.asarray(self.origin).astype(points.dtype), 0)
         if len(self.offsets) == 0:
             distance = jnp.where(self.empty, -jnp.inf, jnp.full(known.shape, jnp.inf, points.dtype))
         else:
-            xp = self.offsets.__array_namespace__()
+            xp: Any = self.offsets.__array_namespace__()
             repeat = lambda x: xp.pad(x, [(0, -len(x) % EDGES)] + [(0, 0)] * (x.ndim - 1), mode="edge")
             edges = (repeat(x) for x in (self.normals, self.offsets, self.low, self.high))
             edges = (jnp.asarray(x).astype(points.dtype) for x in edges)
@@ -64,17 +71,29 @@ class SupportPolygon(NamedTuple):
         return jnp.where(known, distance, jnp.nan)
 
 
-def support_polygon(cone: CentroidalCone, gravity=GRAVITY) -> SupportPolygon:
+def support_polygon(cone: CentroidalCone, gravity: ArrayLike = GRAVITY) -> SupportPolygon:
     """The region of CoM positions, projected along gravity, at which the contacts can hold the robot still; host only.
 
-    cone: from `centroidal_cone`. gravity: (3,) [m/s^2], not zero. The plane's coordinates are x and y where gravity
-    points down; else see `plane.across`. Raises ValueError under a JAX transformation; `support_distance` with rays works.
+    Args:
+        cone: from `centroidal_cone`.
+        gravity: (3,) [m/s^2], not zero.
+
+    Returns:
+        The region. The plane's coordinates are x and y where gravity points down; else see `plane.across`.
+
+    Raises:
+        ValueError: for gravity that is zero or not finite; and under a JAX transformation, where `support_distance` with
+            rays works.
+        TypeError: for gravity that is not three numbers.
 
     Source: Bretl and Lall, Testing Static Equilibrium for Legged Robots, T-RO 2008, whose region it is; from the faces (6).
     """
     if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves((cone, gravity))):
         raise ValueError("support_polygon works on the host, once for each contact set: call it outside jit, vmap and grad")
-    up, axes = np.asarray(upward(_double(gravity)), float), np.asarray(across(_double(gravity)), float)
+    pull = _double(checked_gravity(gravity))
+    if not pull.any():
+        raise ValueError("gravity = 0 (expected a direction, as (0, 0, -9.81))")
+    up, axes = np.asarray(upward(pull), float), np.asarray(across(pull), float)
     faces, length = _double(cone.faces), float(cone.length)
     # The wrench of a robot at rest is (up, arm x up) per unit of weight; arms in sizes of the stance.
     rows = np.cross(up, faces[:, 3:] * length) @ axes.T
@@ -87,6 +106,7 @@ def support_polygon(cone: CentroidalCone, gravity=GRAVITY) -> SupportPolygon:
     edges = (low <= high + SAME) & holds
     empty = not holds or (len(offsets) > 0 and not edges.any())
     normals, offsets, low, high = normals[edges], offsets[edges], low[edges], high[edges]
+    # Edges as short as rounding may have their ends crossed: both are then their middle.
     crossed = low > high
     low[crossed] = high[crossed] = (low[crossed] + high[crossed]) / 2
     origin = axes @ _double(cone.origin)
@@ -95,7 +115,13 @@ def support_polygon(cone: CentroidalCone, gravity=GRAVITY) -> SupportPolygon:
 
 
 @jax.jit
-def _distance(normals, offsets, low, high, points: Float[Array, "n 2"]) -> Float[Array, " n"]:
+def _distance(
+    normals: Float[Array, "m 2"],
+    offsets: Float[Array, " m"],
+    low: Float[Array, " m"],
+    high: Float[Array, " m"],
+    points: Float[Array, "n 2"],
+) -> Float[Array, " n"]:
     """Signed distance of points to a region with these edges, both relative to the same origin."""
     lines = jax.lax.stop_gradient(points)[:, None]
     along = rotated(normals.T).T
@@ -107,11 +133,13 @@ def _distance(normals, offsets, low, high, points: Float[Array, "n 2"]) -> Float
     return Nearest(normals[tightest].T, offsets[tightest], foot.T).distance(points.T)
 
 
-def _double(array) -> np.ndarray:
+def _double(array: ArrayLike) -> np.ndarray:
     return np.asarray(array, np.float64)
 
 
-def _ends(normals, offsets):
+def _ends(
+    normals: Float[np.ndarray, "m 2"], offsets: Float[np.ndarray, " m"]
+) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, " m"]]:
     """What all other half-planes leave of each one's line: (m,), (m,); nothing where the first is the larger."""
     along = np.column_stack([-normals[:, 1], normals[:, 0]])
     rates, room = along @ normals.T, offsets - offsets[:, None] * (normals @ normals.T)
@@ -123,7 +151,12 @@ def _ends(normals, offsets):
     return np.where(outside, np.inf, low), np.where(outside, -np.inf, high)
 
 
-def _vertices(normals, offsets, low, high):
+def _vertices(
+    normals: Float[np.ndarray, "m 2"],
+    offsets: Float[np.ndarray, " m"],
+    low: Float[np.ndarray, " m"],
+    high: Float[np.ndarray, " m"],
+) -> Float[np.ndarray, "k 2"]:
     """The ends of all edges, each once, counterclockwise: (k, 2)."""
     along = np.column_stack([-normals[:, 1], normals[:, 0]])
     ends = np.concatenate([low, high])

@@ -5,7 +5,7 @@ robot can stand; elsewhere a sector that `min_speed` keeps away from zero. It ne
 deceleration, the largest speed is the geometric mean of two radii.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -15,7 +15,7 @@ from scipy.spatial import ConvexHull, QhullError
 
 from jaxcap.batch.score import score
 from jaxcap.contacts.cone import CentroidalCone, ConeRays
-from jaxcap.contacts.conventions import GRAVITY, FloatArray
+from jaxcap.contacts.conventions import GRAVITY, ArrayLike, FloatArray, checked_gravity
 from jaxcap.numerics.guarded import direction
 
 
@@ -35,9 +35,13 @@ class VelocityArea(NamedTuple):
     """The CoM is in static equilibrium: zero velocity belongs to the set."""
 
     def size(self) -> Float[Array, "*batch"]:
-        """Area of the horizontal velocities [m^2/s^2], for directions from `headings`.
+        """Area of the horizontal velocities, for directions from `headings`. Differentiable.
 
-        It is the area inside `outline`, infinite where a speed is, NaN where one is not known. Differentiable.
+        Returns:
+            The area inside `outline` [m^2/s^2], infinite where a speed is, NaN where one is not known.
+
+        Raises:
+            ValueError: where the directions are not horizontal.
         """
         next_to = lambda x: jnp.roll(x, -1, axis=-1)
         x, y = _headings_of(self.directions, jnp).T
@@ -47,10 +51,17 @@ class VelocityArea(NamedTuple):
         return jnp.sum(turn * (between(self.max_speed) - between(open_side)), axis=-1) / 2
 
     def outline(self, longest: float = np.inf) -> list[Float[np.ndarray, "m 2"]]:
-        """The edges of the horizontal velocities [m/s], for directions from `headings` and a single CoM.
+        """The edges of the horizontal velocities, for directions from `headings` and a single CoM.
 
-        longest: a larger speed is cut to this [m/s]. A polygon for each run of neighbouring directions with capturable
-        speeds: out along the largest and back along the smallest. Directions that are not known count as having none.
+        Args:
+            longest: a larger speed is cut to this [m/s].
+
+        Returns:
+            A closed line (m, 2) [m/s] for each run of neighbouring directions with capturable speeds: out along the largest
+            and back along the smallest. Directions that are not known count as having none.
+
+        Raises:
+            ValueError: where the directions are not horizontal, or for several CoMs.
         """
         directions = _headings_of(np.asarray(self.directions), np)
         low, high = self._finite(longest)
@@ -58,7 +69,7 @@ class VelocityArea(NamedTuple):
         inner, outer = low[:, None] * directions, high[:, None] * directions
         if some.all():
             return [outer, inner[::-1]] if low.any() else [outer]
-        first = int(np.argmin(some))   # a direction without speeds: no run goes across it
+        first = int(np.argmin(some))  # a direction without speeds: no run goes across it
         order = np.roll(np.arange(len(some)), -first)
         runs = np.split(order, np.flatnonzero(np.diff(some[order])) + 1)
         back = lambda run: inner[run[::-1]] if low[run].any() else np.zeros((1, 2))
@@ -67,19 +78,25 @@ class VelocityArea(NamedTuple):
     def mesh(self, longest: float) -> tuple[Float[np.ndarray, "m 3"], Int[np.ndarray, "t 3"]]:
         """The surface of the velocities in space, for directions all around (`sphere`) and a single CoM.
 
-        longest: a larger speed is cut to this [m/s]: straight up and down, most contacts stop any speed. Returns vertices
-        [m/s] and triangles, counted counter-clockwise from outside; closed, and empty where nothing is capturable.
-        Triangles with a direction that has no capturable speed, or none that is known, are left out.
+        Args:
+            longest: a larger speed is cut to this [m/s]: straight up and down, most contacts stop any speed.
 
-        Raises ValueError where the directions do not surround zero.
+        Returns:
+            Vertices (m, 3) [m/s] and triangles (t, 3), counted counter-clockwise from outside; closed, and empty where
+            nothing is capturable. Triangles with a direction that has no capturable speed, or none that is known, are not
+            among them.
+
+        Raises:
+            ValueError: where the directions do not surround zero, or for several CoMs.
         """
         directions = np.asarray(self.directions)
         triangles = _triangles(directions)
         low, high = self._finite(longest)
         triangles = triangles[(high[triangles] > 0).all(axis=1)]
         sides = np.concatenate([triangles[:, [i, (i + 1) % 3]] for i in range(3)])
-        n = len(directions)   # the inner vertices follow the outer ones
-        rim = sides[~np.isin(sides @ [n, 1], sides @ [1, n])]   # no triangle on the other side
+        n = len(directions)  # the inner vertices follow the outer ones
+        # A side from a to b is the number n a + b; without a triangle that has it from b to a, it is rim.
+        rim = sides[~np.isin(sides @ [n, 1], sides @ [1, n])]
         down = np.concatenate([rim[:, ::-1], rim[:, :1] + n], axis=1)
         up = np.concatenate([rim[:, 1:], rim + n], axis=1)
         vertices = np.concatenate([high[:, None] * directions, low[:, None] * directions])
@@ -88,7 +105,7 @@ class VelocityArea(NamedTuple):
         used, numbers = np.unique(triangles[np.any(np.cross(b - a, c - a) != 0, axis=1)], return_inverse=True)
         return vertices[used], numbers.reshape(-1, 3)
 
-    def _finite(self, longest: float):
+    def _finite(self, longest: float) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
         """Smallest and largest speeds of a single CoM (n,), cut to `longest`; zero where they are not known."""
         if self.max_speed.ndim != 1:
             raise ValueError(f"max_speed has shape {self.max_speed.shape} (expected that of a single CoM, (n,))")
@@ -102,40 +119,60 @@ def velocity_area(
     cone: CentroidalCone | ConeRays,
     com: Num[FloatArray, "*batch 3"],
     directions: Num[FloatArray, "n 3"] | None = None,
-    gravity=GRAVITY,
+    gravity: ArrayLike = GRAVITY,
 ) -> VelocityArea:
     """Which velocities of this CoM are capturable? In every direction the smallest and the largest speed.
 
-    cone: from `centroidal_cone` or `cone_rays`; rays may be those of k contact sets. com: (3,) [m], or (k, 3). directions:
-    of any length but zero; `headings()` if not given, `sphere()` for all of space. gravity: (3,) [m/s^2]. All in the
-    contacts' frame, z up. The dtype of `com` decides the precision. With k contact sets or CoM positions every field of the
-    result but `directions` has a leading axis of k: how the set changes with friction, with a slope, with a hand.
+    All in the contacts' frame, z up. The dtype of `com` decides the precision.
 
-    Raises TypeError for wrong shapes.
+    Args:
+        cone: from `centroidal_cone` or `cone_rays`; rays may be those of k contact sets.
+        com: (3,) [m], or (k, 3).
+        directions: (n, 3), of any length but zero; `headings()` if not given, `sphere()` for all of space.
+        gravity: (3,) [m/s^2].
+
+    Returns:
+        The speeds in each direction. With k contact sets or CoM positions every field but `directions` has a leading axis of
+        k: how the set changes with friction, with a slope, with a hand.
+
+    Raises:
+        TypeError: for wrong shapes.
+        ValueError: for gravity that is not finite.
     """
+    checked_gravity(gravity)
     com, towards = jnp.asarray(com), headings() if directions is None else directions
     if com.ndim not in (1, 2) or com.shape[-1] != 3:
         raise TypeError(f"com has shape {com.shape} (expected (3,) or (k, 3))")
     if jnp.ndim(towards) != 2 or jnp.shape(towards)[1] != 3:
         raise TypeError(f"directions has shape {jnp.shape(towards)} (expected (n, 3))")
     towards = direction(jnp.asarray(towards, jnp.promote_types(com.dtype, jnp.float32)).T)[0].T
-    own = isinstance(cone, ConeRays) and cone.rays.ndim == 3
-    batch = (len(cone.rays),) if own else com.shape[:-1]
+    sets = len(cone.rays) if isinstance(cone, ConeRays) and cone.rays.ndim == 3 else None
+    batch = com.shape[:-1] if sets is None else (sets,)
     if com.ndim == 2 and len(com) != batch[0]:
         raise TypeError(f"com has {len(com)} rows for {batch[0]} contact sets (expected as many, or one CoM)")
-    count = len(towards) + 1
-    at_rest = jnp.concatenate([towards, jnp.zeros((1, 3), towards.dtype)])
-    coms = jnp.repeat(jnp.broadcast_to(com, (*batch, 3)).reshape(-1, 3), count, axis=0)
-    cone = jax.tree.map(lambda leaf: jnp.repeat(leaf, count, axis=0), cone) if own else cone
-    out = score(cone, coms, jnp.tile(at_rest, (len(coms) // count, 1)), gravity)
-    field = lambda values: values.reshape(*batch, count)
+    velocities = jnp.concatenate([towards, jnp.zeros((1, 3), towards.dtype)])  # the last for `standing`
+    states = len(velocities)
+    coms = jnp.repeat(jnp.broadcast_to(com, (*batch, 3)).reshape(-1, 3), states, axis=0)
+    cone = cone if sets is None else jax.tree.map(lambda leaf: jnp.repeat(leaf, states, axis=0), cone)
+    out = score(cone, coms, jnp.tile(velocities, (len(coms) // states, 1)), gravity)
+    field = lambda values: values.reshape(*batch, states)
     return VelocityArea(
         towards, field(out.min_speed)[..., :-1], field(out.max_speed)[..., :-1], field(out.capturable)[..., -1]
     )
 
 
 def headings(count: int = 360) -> Float[np.ndarray, "{count} 3"]:
-    """Horizontal unit vectors, evenly spaced, counter-clockwise from x. Raises ValueError for fewer than 3."""
+    """Horizontal unit vectors, evenly spaced, counter-clockwise from x.
+
+    Args:
+        count: how many, >= 3.
+
+    Returns:
+        (count, 3).
+
+    Raises:
+        ValueError: for fewer than 3.
+    """
     if count < 3:
         raise ValueError(f"count = {count} (expected at least 3)")
     angles = 2 * np.pi * np.arange(count) / count
@@ -143,7 +180,17 @@ def headings(count: int = 360) -> Float[np.ndarray, "{count} 3"]:
 
 
 def sphere(count: int = 1000) -> Float[np.ndarray, "{count} 3"]:
-    """Unit vectors all around, spread evenly on a spiral (Fibonacci). Raises ValueError for fewer than 4."""
+    """Unit vectors all around, spread evenly on a spiral (Fibonacci).
+
+    Args:
+        count: how many, >= 4.
+
+    Returns:
+        (count, 3).
+
+    Raises:
+        ValueError: for fewer than 4.
+    """
     if count < 4:
         raise ValueError(f"count = {count} (expected at least 4)")
     height = 1 - (2 * np.arange(count) + 1) / count
@@ -152,14 +199,14 @@ def sphere(count: int = 1000) -> Float[np.ndarray, "{count} 3"]:
     return np.concatenate([np.sqrt(1 - height**2)[:, None] * around, height[:, None]], axis=1)
 
 
-def _headings_of(directions, xp):
+def _headings_of(directions: Num[FloatArray, "n 3"], xp: Any) -> Any:
     """Their first two columns (n, 2), or ValueError where they are seen not to be horizontal."""
     if not isinstance(directions, jax.core.Tracer) and np.any(np.asarray(directions[:, 2]) != 0):
         raise ValueError("directions are not horizontal (expected those of `headings`)")
     return xp.asarray(directions[:, :2])
 
 
-def _triangles(directions):
+def _triangles(directions: Num[np.ndarray, "n 3"]) -> Int[np.ndarray, "t 3"]:
     """Triangles (t, 3) of the hull of unit vectors, counter-clockwise from outside."""
     try:
         hull = ConvexHull(directions)

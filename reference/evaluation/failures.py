@@ -1,8 +1,8 @@
 """Where prediction fails: what missed falls have that right stops have not, and false alarms that detected falls have not.
 
-What is looked at, of the state just after the push but for the last: CoM speed; angular momentum about the CoM; how hard
-the joint that is nearest to its limit has to brake in order not to pass it, which the sampling keeps below 10 rad/s^2; the
-torque that standing takes, as a share of the limits; how far the CoM ends beside the line, under the first controller.
+What is looked at, of the state just after the push: CoM speed; angular momentum about the CoM; how hard
+the joint that is nearest to its limit has to brake in order not to pass it, which the sampling keeps below 10 rad/s^2 (known
+where the file holds q and v); the effort, the share of the torque limits that standing takes.
 """
 
 from __future__ import annotations
@@ -11,30 +11,18 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-import pinocchio as pin
 from jaxtyping import Bool, Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from scipy.optimize import linprog
 
-from reference.contacts import grasp_matrix, pyramid_edges
 from reference.evaluation import output
 from reference.evaluation.figure_style import BLUE, GREEN, ORANGE, RED, WIDE, save, styled
 from reference.evaluation.margins import score
-from reference.evaluation.replay import ROBOT, sample_of
 from reference.evaluation.roc import Interval, area, judged, share
 from reference.evaluation.roc_figures import TITLES
 from reference.evaluation.samples import BEST, Samples, among
 from reference.evaluation.tables import percent, table
-from reference.tsid.push import contact_jacobian
-from reference.tsid.robot import Robot, Sample, load
-from reference.tsid.wrench_cone import CORNERS
-
-MOST = 120
-"""Samples of each cell whose torques are computed, a linear program each; chosen at random."""
-
-SEED = 2018
-"""Of that choice."""
+from reference.tsid.robot import load
 
 
 class Cell(NamedTuple):
@@ -62,10 +50,9 @@ FEATURES = {
     "momentum": "angular momentum [kg m²/s]",
     "braking": "braking before a joint limit [rad/s²]",
     "torque": "torque for standing [share of limit]",
-    "aside": "CoM ends beside the line [m]",
 }
 
-LEAST = {"speed": 0.01, "momentum": 0.1, "aside": 1e-4}
+LEAST = {"speed": 0.01, "momentum": 0.1}
 """Where logarithmic axes begin."""
 
 
@@ -76,21 +63,14 @@ def cells(outcomes, capturable: Bool[np.ndarray, " n"]) -> dict[str, Bool[np.nda
     return {name: used & (fell == cell.fell) & (capturable != cell.predicted) for name, cell in CELLS.items()}
 
 
-def features(samples: Samples, where: dict[str, Bool[np.ndarray, " n"]]) -> dict[str, Float[np.ndarray, " n"]]:
-    """FEATURES of all samples; torques of at most MOST in each cell, NaN for the others."""
-    robot, random = load(ROBOT), np.random.default_rng(SEED)
-    torque = np.full(len(samples.index), np.nan)
-    for members in where.values():
-        rows = np.flatnonzero(members)
-        for row in random.choice(rows, min(MOST, len(rows)), replace=False):
-            torque[row] = standing_torque(robot, sample_of(samples, row, robot.model))
-    first = samples.runs[samples.controllers[0]]
+def features(samples: Samples) -> dict[str, Float[np.ndarray, " n"]]:
+    """FEATURES of all samples, NaN where one is not known."""
+    robot = load(samples.robot)
     return {
         "speed": np.linalg.norm(samples.com_velocity, axis=1),
         "momentum": np.linalg.norm(samples.angular_momentum, axis=1),
         "braking": braking(samples.q[:, 7:], samples.v[:, 6:], robot.lower, robot.upper),
-        "torque": torque,
-        "aside": aside(first.com_ends - samples.com, samples.com_velocity),
+        "torque": samples.effort,
     }
 
 
@@ -108,53 +88,6 @@ def braking(
     with np.errstate(divide="ignore", invalid="ignore"):
         needed = np.where(velocity == 0, 0.0, velocity**2 / (2 * room))
     return needed.max(axis=1)
-
-
-def aside(displacement: Float[np.ndarray, "n 3"], velocity: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
-    """Distance of a displacement's end from the line of a velocity [m]; its length where there is no velocity."""
-    speed = np.linalg.norm(velocity, axis=1, keepdims=True)
-    along = np.divide(velocity, speed, out=np.zeros_like(velocity), where=speed > 0)
-    return np.linalg.norm(displacement - np.sum(displacement * along, axis=1, keepdims=True) * along, axis=1)
-
-
-def standing_torque(robot: Robot, sample: Sample) -> float:
-    """Least share t such that the robot can stand still at the sample's posture with no torque above t of its limit.
-
-    Above 1 it cannot stand there at all. Contact forces are in the pyramids of the contacts' corners. By a linear program.
-    Raises ArithmeticError if HiGHS does not solve it.
-    """
-    data = robot.model.createData()
-    gravity = pin.computeGeneralizedGravity(robot.model, data, sample.q)
-    pin.framesForwardKinematics(robot.model, data, sample.q)
-    jacobian = contact_jacobian(robot, data, sample.q, [contact.effector for contact in sample.contacts])
-    pushes = np.hstack(
-        [
-            jacobian[6 * i : 6 * i + 6].T @ _generators(contact.half_length, contact.half_width, contact.friction)
-            for i, contact in enumerate(sample.contacts)
-        ]
-    )
-    limit = robot.torque[:, None]
-    joints, base = gravity[6:, None], slice(0, 6)  # torque = gravity - pushes @ weights
-    rows = np.block([[-pushes[6:], -limit], [pushes[6:], -limit]])
-    cost = np.zeros(rows.shape[1])
-    cost[-1] = 1.0
-    result = linprog(
-        cost,
-        A_ub=rows, b_ub=np.concatenate([-joints, joints]).ravel(),
-        A_eq=np.column_stack([pushes[base], np.zeros(6)]), b_eq=gravity[base],
-        method="highs",
-    )  # fmt: skip
-    if result.status != 0:
-        raise ArithmeticError(f"{sample.scenario}, sample {sample.index}: HiGHS ended with status {result.status}")
-    return float(result.fun)
-
-
-def _generators(half_length: float, half_width: float, friction: float) -> Float[np.ndarray, "6 16"]:
-    """Wrenches (force, moment about the centre) of the edges of a rectangle's pyramids, in its own frame."""
-    points = np.zeros((4, 3))
-    points[:, :2] = CORNERS * (half_length, half_width)
-    edges = pyramid_edges(np.broadcast_to(np.eye(3), (4, 3, 3)), np.full(4, friction))
-    return np.hstack([grasp_matrix(point[None]) @ own.T for point, own in zip(points, edges, strict=True)])
 
 
 class Found(NamedTuple):
@@ -181,7 +114,7 @@ def find(samples: Samples, capturable: Bool[np.ndarray, " n"]) -> Found:
     """Cells and features of one file in which the best of three controllers counts."""
     where = cells(samples.outcomes[BEST], np.asarray(capturable, bool))
     first = samples.runs[samples.controllers[0]]
-    return Found(where, features(samples, where), (first.outcomes == "fallen") & (first.times == 0))
+    return Found(where, features(samples), (first.outcomes == "fallen") & (first.times == 0))
 
 
 def medians(found: dict[str, Found]) -> str:
@@ -220,10 +153,7 @@ def contrasts(found: dict[str, Found]) -> str:
 
 
 def believe(found: dict[str, Found]) -> str:
-    """What a user should believe, in Markdown.
-
-    Only MOST samples of a cell are looked at for their torque; a cell's share among them stands for the whole cell.
-    """
+    """What a user should believe, in Markdown."""
     return "\n".join(f"- **{title.capitalize()}**: {_belief(one)}" for title, one in found.items()) + "\n"
 
 
@@ -235,7 +165,7 @@ def _belief(found: Found) -> str:
         f"of {stops:,} predicted stops {percent(share(size['right'], stops))} % stopped."
     ]
     for wrong, right in CONTRASTS.items():
-        areas = {feature: contrast(found, wrong, feature) for feature in FEATURES if feature != "aside"}
+        areas = {feature: contrast(found, wrong, feature) for feature in FEATURES}
         clear = {name: one for name, one in areas.items() if one.low > 0.5 or one.high < 0.5}
         if clear:
             name = max(clear, key=lambda feature: abs(clear[feature].value - 0.5))
@@ -248,10 +178,10 @@ def _belief(found: Found) -> str:
     weak = {name: values[~np.isnan(values)] for name, values in weak.items()}
     heavy = [f"{(values > 1).sum()} of {len(values)} {CELLS[name].label}" for name, values in weak.items()]
     told.append(f"In a posture that the torque limits do not let the robot hold even at rest began {' and '.join(heavy)}.")
-    light = {name: size[name] * np.mean(values <= 1) for name, values in weak.items() if len(values)}
+    light = {name: int(np.sum(values <= 1)) for name, values in weak.items()}
     if sum(light.values()) > 0:
-        kept = light.get("right", 0.0) / sum(light.values())
-        told.append(f"Of the predicted stops in other postures about {kept:.0%} stopped, by those looked at.")
+        kept = share(light["right"], sum(light.values()))
+        told.append(f"Of the predicted stops in other postures {percent(kept)} % stopped.")
     if size["missed"]:
         at_once = found.at_once[found.where["missed"]].sum()
         told.append(f"{at_once} of {size['missed']} missed falls have no way out at the first step of the first controller.")

@@ -19,6 +19,7 @@ from reference.evaluation.tables import HEIGHTS, percent
 SIGNIFICANT = 0.05
 """Differences less probable than this by chance are told as such."""
 
+
 def data(samples: dict[str, Samples], folder: Path) -> str:
     """What was read."""
     files = (f"`{file.name}` ({len(file.index):,} samples, seed {file.seed})" for file in samples.values())

@@ -136,8 +136,8 @@ def _digest(columns: dict[str, np.ndarray], options: tuple[str, ...]) -> str:
     for name, values in columns.items():
         digest.update(f"{name} {values.shape} {values.dtype}".encode() + values.tobytes())
     sources = Path(find_spec("jaxcap").origin).parent
-    for path in sorted(sources.glob("*.py")):
-        digest.update(path.name.encode() + path.read_bytes())
+    for path in sorted(sources.rglob("*.py")):
+        digest.update(str(path.relative_to(sources)).encode() + path.read_bytes())
     return digest.hexdigest()[:16]
 
 
@@ -147,7 +147,7 @@ def _run(columns: dict[str, np.ndarray], output: Path, options: tuple[str, ...])
     with tempfile.TemporaryDirectory() as folder:
         states = Path(folder) / "states.parquet"
         pq.write_table(pa.table({name: lists(values) for name, values in columns.items()}), states)
-        command = [sys.executable, "-m", "jaxcap.cli", "score", str(states), "-o", str(output), *options]
+        command = [sys.executable, "-m", "jaxcap.commands.cli", "score", str(states), "-o", str(output), *options]
         environment = {CACHE: str(output.parent / "compiled")} | os.environ
         done = subprocess.run(command, capture_output=True, text=True, env=environment)
     if done.returncode:

@@ -6,17 +6,14 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-import pinocchio as pin
 from jaxtyping import Float
 
 from reference.evaluation.samples import Samples
 from reference.tsid.controller import CONFIGURATIONS
-from reference.tsid.robot import Contact, Robot, Sample, load
-from reference.tsid.sampling import restore
+from reference.tsid.robot import Robot, Sample, load
+from reference.tsid.sampling import draw, place, restore
 from reference.tsid.simulator import Simulator
 from reference.tsid.workers import Died, answers
-
-ROBOT = "talos"
 
 JOBS = 2
 
@@ -32,14 +29,14 @@ class Path(NamedTuple):
     """[m]"""
 
 
-def sample_of(samples: Samples, row: int, model: pin.Model) -> Sample:
-    """What was simulated: the sample of one row."""
-    contacts = [
-        Contact(str(effector), pin.SE3(rotation, position), float(length), float(width), float(friction))
-        for effector, position, rotation, length, width, friction in zip(*(f[row] for f in samples.contacts), strict=True)
-    ]
-    q = restore(model, samples.q[row])
-    return Sample(samples.scenario, samples.seed, int(samples.index[row]), q, samples.v[row], tuple(contacts))
+def sample_of(samples: Samples, row: int, robot: Robot) -> Sample:
+    """What was simulated: the sample of one row, from q and v where the file holds them, else drawn again."""
+    index, effectors = int(samples.index[row]), samples.contacts.effectors[row].tolist()
+    if np.isnan(samples.q[row]).any():
+        return draw(robot, samples.scenario, samples.seed, index, samples.zero_momentum)
+    q = restore(robot.model, samples.q[row])
+    contacts = place(robot, robot.model.createData(), q, effectors)
+    return Sample(samples.scenario, samples.seed, index, q, samples.v[row], contacts)
 
 
 def paths(samples: Samples, rows: Sequence[int], controllers: Sequence[str], jobs: int = JOBS) -> list[Path]:
@@ -47,19 +44,19 @@ def paths(samples: Samples, rows: Sequence[int], controllers: Sequence[str], job
 
     Raises ArithmeticError naming a sample whose process died.
     """
-    model = load(ROBOT).model
-    runs = [(sample_of(samples, row, model), controller) for row, controller in zip(rows, controllers, strict=True)]
+    robot = load(samples.robot)
+    runs = [(sample_of(samples, row, robot), controller) for row, controller in zip(rows, controllers, strict=True)]
     found: list[Path | None] = [None] * len(runs)
-    for number, answer in answers(_runner, (runs,), range(len(runs)), jobs):
+    for number, answer in answers(_runner, (samples.robot, runs), range(len(runs)), jobs):
         if isinstance(answer, Died):
             raise ArithmeticError(f"{samples.name}, sample {samples.index[rows[number]]}: {answer}")
         found[number] = answer
     return found
 
 
-def _runner(runs: list[tuple[Sample, str]]) -> Callable[[int], Path]:
+def _runner(name: str, runs: list[tuple[Sample, str]]) -> Callable[[int], Path]:
     """In a process of its own: simulates the run of a number."""
-    robot: Robot = load(ROBOT)
+    robot: Robot = load(name)
 
     def run(number: int) -> Path:
         sample, controller = runs[number]

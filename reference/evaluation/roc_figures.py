@@ -18,13 +18,14 @@ from reference.evaluation.figure_style import BAND, GREY, NARROW, STROKES, WIDE,
 from reference.evaluation.margins import MARGINS, compared, everywhere
 from reference.evaluation.paper import STATED, Stated
 from reference.evaluation.roc import SEED, Interval, Point, Roc, area, band, curve, judged, point
-from reference.evaluation.samples import BEST, Samples, among
+from reference.evaluation.samples import BEST, FOUR, MissingFile, Samples, among
 
 TITLES = {
     "two_coplanar": "two coplanar feet",
     "two": "two feet",
     "three": "two feet, one hand",
     "four": "two feet, two hands",
+    "four_strong": "two feet, two hands, strong pushes",
 }
 
 CONTROLLERS = {
@@ -83,18 +84,31 @@ class Curve(NamedTuple):
 
 def five_margins(samples: dict[str, Samples], folder: Path) -> list[Path]:
     """Fig. 4: the five margins against the best of three controllers, a panel for each scenario."""
+    return _five_margins(among(samples, *TITLES), folder, "figure_4", BEST, np.inf)
+
+
+def five_margins_held(samples: dict[str, Samples], folder: Path) -> list[Path]:
+    """Fig. 4 again: postures that can be held, and the best of four controllers."""
+    files = [file for file in among(samples, *TITLES) if FOUR in file.outcomes]
+    if not files:
+        raise MissingFile("no file has a fourth controller")
+    return _five_margins(files, folder, "figure_4_held", FOUR, 1.0)
+
+
+def _five_margins(files: list[Samples], folder: Path, name: str, truth: str, effort: float) -> list[Path]:
+    """A panel for each file, of the samples up to that effort."""
     panels = {}
-    for file in among(samples, *TITLES):
+    for file in files:
         margins = compared(file, folder)
-        used, fell = judged(file.outcomes[BEST], among=everywhere(margins))
+        used, fell = judged(file.outcomes[truth], among=everywhere(margins) & (file.effort <= effort))
         title = f"{TITLES[file.name]}: {fell.sum():,} falls, {(~fell).sum():,} stops"
-        stated = STATED.get((file.name, BEST))
+        stated = STATED.get((file.name, truth))
         panels[title] = [
             _curve(place, margins[margin.column][used], fell, margin.label, STAR if margin.has_zero else 0, stated)
             for place, margin in enumerate(MARGINS)
         ]
         panels[title][0] = panels[title][0]._replace(star_size=1.5 * STAR)  # that of the paper's margin lies upon it
-    return _drawn(panels, folder, "figure_4", "exact margin, 95 % band")
+    return _drawn(panels, folder, name, "exact margin, 95 % band")
 
 
 def without_limits(samples: dict[str, Samples], folder: Path) -> list[Path]:
@@ -176,7 +190,7 @@ def _drawn(panels: dict[str, list[Curve]], folder: Path, name: str, banded: str)
     """Draw panels by title, explain them, save the figure. banded: what the band is of."""
     with styled():
         figure, grid = _panels(len(panels), 2)
-        for axes, letter, (title, curves) in zip(grid, "abcd", panels.items(), strict=False):
+        for axes, letter, (title, curves) in zip(grid, "abcdef", panels.items(), strict=False):
             _draw(axes, curves)
             _enlarge_corner(axes, curves)
             _finish(axes, f"({letter}) {title}" if len(panels) > 1 else title)

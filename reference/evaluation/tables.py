@@ -28,7 +28,7 @@ def beside_the_paper(samples: dict[str, Samples], folder: Path) -> str:
             at = point(margin[used], fell)
             undecided = f"{(~used).sum()}" + (f" + {file.failed} failed" if file.failed else "")
             cells = (at.detected, at.missed, at.false, at.right, undecided, percent(at.detection), percent(at.false_alarms))
-            rows.append((file.name, name, *cells, percent(area(margin[used], fell)), _stated(STATED.get((file.name, name)))))
+            rows.append((file.name, name, *cells, percent(area(margin[used], fell)), stated(STATED.get((file.name, name)))))
     header = ("file", "controller", "detected", "missed", "false", "right", "undecided")
     return table((*header, "detection %", "false alarms %", "area %", "paper %"), rows)
 
@@ -159,11 +159,12 @@ def table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     return "".join(f"| {' | '.join(line)} |\n" for line in lines)
 
 
-def _stated(stated: Stated | None) -> str:
-    if stated is None:
+def stated(paper: Stated | None) -> str:
+    """Detection and false alarms by the paper's text, in percent; a dash for what it does not state."""
+    if paper is None:
         return "-"
-    detection = "-" if stated.detection is None else f"{100 * stated.detection:.3g}"
-    return f"{detection} / {100 * stated.false_alarms:.3g}"
+    detection = "-" if paper.detection is None else f"{100 * paper.detection:.3g}"
+    return f"{detection} / {100 * paper.false_alarms:.3g}"
 
 
 def _number(value: float, digits: int = 1) -> str:

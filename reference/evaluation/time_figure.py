@@ -109,7 +109,7 @@ def _scored(columns: dict[str, Float[np.ndarray, "n ..."]], size: int, folder: P
         states, feet, scores = (Path(temporary) / name for name in ("states.parquet", "contacts.json", "scores.parquet"))
         rows = {name: np.resize(values, (size, *values.shape[1:])) for name, values in columns.items()}
         pq.write_table(pa.table({name: lists(values) for name, values in rows.items()}), states)
-        command = [sys.executable, "-m", "jaxcap.cli", "score", str(states), "-o", str(scores)]
+        command = [sys.executable, "-m", "jaxcap.commands.cli", "score", str(states), "-o", str(scores)]
         if contacts is not None:
             feet.write_text(json.dumps(contacts), encoding="utf-8")
             command += ["--contacts", str(feet)]

@@ -1,4 +1,8 @@
-"""The controller's QP in numbers: rows, bounds and target, written in place at every step."""
+"""The controller's QP in numbers: rows, bounds and target, written in place at every step.
+
+`Fixed` and `Memory` have forty arrays, and handing an array to compiled code costs as much as a hundred products. So all of
+them lie in two stores, vectors that are handed over whole; `fixed_in` and `memory_in` find the arrays there.
+"""
 
 from __future__ import annotations
 
@@ -7,11 +11,13 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
-from reference.tsid.dynamics import Reduced, contact_motion, reduce
+from reference.tsid.dynamics import Reduced, contact_motion, reduce, reduced_in
 from reference.tsid.limits import acceleration_bounds
-from reference.tsid.tasks import Centroid, centroidal, least_distance
+from reference.tsid.tasks import Centroid, centroid_in, centroidal, least_distance
 
 CONE_ROWS = 16
+
+GAINS = 9
 
 REGULARISATION = 1e-6
 """Weight of |w|^2 [1/N^2, 1/(N m)^2] in the cost: internal forces have no cost in (30). The wrenches of all contacts but the
@@ -24,7 +30,7 @@ class Fixed(NamedTuple):
     placements: np.ndarray
     """(k, 4, 4): of the contacts in those joints."""
     chains: np.ndarray
-    """(k, nv): whether a velocity moves the contact."""
+    """(k, nv): 1 where a velocity moves the contact, else 0."""
     surfaces: np.ndarray
     """(k, 4, 4): of the contacts in the world."""
     cones: np.ndarray
@@ -41,7 +47,8 @@ class Fixed(NamedTuple):
     torque: np.ndarray
     """(n,) each: limits, infinite where the configuration has none."""
     gains: np.ndarray
-    """(7,): dt, deceleration, largest acceleration, stiffness, damping, CoM gain, root of the CoM weight."""
+    """(9,): dt, deceleration, largest acceleration; stiffness and damping of the contacts, then of the posture; gain of the
+    CoM, root of its weight."""
     across: np.ndarray
     """(2 or 0, 3): directions across the CoM's straight line."""
     start: np.ndarray
@@ -66,11 +73,76 @@ class Memory(NamedTuple):
     """Of the `Problem`."""
 
 
+class Sizes(NamedTuple):
+    """Of the arrays in a store."""
+
+    contacts: int
+    joints: int
+    lines: int
+    """Rows that keep the CoM on its line: 2 or 0."""
+    momenta: int
+    """Rows that keep the angular momentum: 3 or 0."""
+
+    @property
+    def rows(self) -> int:
+        """Of the problem."""
+        return 2 * self.joints + CONE_ROWS * self.contacts + 6 * (self.contacts - 1) + self.lines + self.momenta
+
+
 @numba.njit(cache=True)
-def assemble(mass, bias, world, rate, q, v, fixed, memory):
-    """Fill the problem's arrays. Rows: joint accelerations, torques, cones, other contacts, straight line, momentum."""
-    k, n = fixed.placements.shape[0], fixed.posture.shape[0]
-    dt, deceleration, largest, stiffness, damping, com_gain, weight = fixed.gains
+def fixed_in(store, contacts, joints, lines, momenta):
+    """`Fixed` in a vector that holds its arrays one after the other."""
+    k, n, at = contacts, joints, 0
+    placements, at = store[at : at + 16 * k].reshape((k, 4, 4)), at + 16 * k
+    chains, at = store[at : at + k * (n + 6)].reshape((k, n + 6)), at + k * (n + 6)
+    surfaces, at = store[at : at + 16 * k].reshape((k, 4, 4)), at + 16 * k
+    cones, at = store[at : at + 6 * CONE_ROWS * k].reshape((k, CONE_ROWS, 6)), at + 6 * CONE_ROWS * k
+    shares, at = store[at : at + 6 * k].reshape((k, 6)), at + 6 * k
+    posture, at = store[at : at + n], at + n
+    gravity, at = store[at : at + 3], at + 3
+    lower, upper, at = store[at : at + n], store[at + n : at + 2 * n], at + 2 * n
+    speed, torque, at = store[at : at + n], store[at + n : at + 2 * n], at + 2 * n
+    gains, at = store[at : at + GAINS], at + GAINS
+    across, at = store[at : at + 3 * lines].reshape((lines, 3)), at + 3 * lines
+    start, momentum = store[at : at + 3], store[at + 3 : at + 3 + momenta]
+    return Fixed(
+        placements, chains, surfaces, cones, shares, posture, gravity, lower, upper, speed, torque, gains, across, start,
+        momentum,
+    )  # fmt: skip
+
+
+@numba.njit(cache=True)
+def memory_in(store, contacts, joints, rows):
+    """`Memory` in a vector of at least `memory_size` numbers."""
+    k, n = contacts, joints
+    size = n + 6 * (k - 1)
+    dyn, at = reduced_in(store, 0, k, n)
+    centre, at = centroid_in(store, at, n)
+    frames, at = store[at : at + 16 * (k + 1)].reshape((k + 1, 4, 4)), at + 16 * (k + 1)
+    root, at = store[at : at + 6 * n].reshape((2, 3, n)), at + 6 * n
+    matrix, at = store[at : at + rows * size].reshape((rows, size)), at + rows * size
+    lower, upper, at = store[at : at + rows], store[at + rows : at + 2 * rows], at + 2 * rows
+    return Memory(dyn, centre, frames, root, matrix, lower, upper, store[at : at + size])
+
+
+def memory_size(contacts: int, joints: int, rows: int) -> int:
+    """Numbers that `memory_in` needs."""
+    k, n = contacts, joints
+    size = n + 6 * (k - 1)
+    dyn = k * 6 * (n + 6) + 12 * k + 36 + 6 * n + 6 + n * n + n + 6 * k * n + 6 * k + 6 * n + 6
+    return dyn + 15 + 6 * n + 16 * (k + 1) + 6 * n + rows * size + 2 * rows + size
+
+
+@numba.njit(cache=True)
+def assemble(mass, bias, world, rate, q, v, fixed_store, memory_store, contacts, joints, lines, momenta, rows):
+    """Fill the problem's arrays. Rows: joint accelerations, torques, cones, other contacts, straight line, momentum.
+
+    Returns how far the contact that moved most is from its place [m].
+    """
+    fixed = fixed_in(fixed_store, contacts, joints, lines, momenta)
+    memory = memory_in(memory_store, contacts, joints, rows)
+    k, n = contacts, joints
+    dt, deceleration, largest, stiffness, damping, posture_stiffness, posture_damping, com_gain, weight = fixed.gains
     dyn, centre, matrix, lower, upper = memory.reduced, memory.centroid, memory.matrix, memory.lower, memory.upper
     for c in range(k):
         contact_motion(
@@ -88,8 +160,8 @@ def assemble(mass, bias, world, rate, q, v, fixed, memory):
             lower[row] = dyn.relative_goals[c, i]
             upper[row] = lower[row]
             row += 1
-    for axis in fixed.across:
-        goal = 0.0
+    for line in range(lines):
+        axis, goal = fixed.across[line], 0.0
         for i in range(3):
             goal += axis[i] * (stiffness * (fixed.start[i] - centre.com[i]) - damping * centre.velocity[i] - centre.drift[i])
             for j in range(n):
@@ -102,12 +174,18 @@ def assemble(mass, bias, world, rate, q, v, fixed, memory):
         lower[row] = damping * (fixed.momentum[i] - centre.momentum[i]) - centre.rate_drift[i]
         upper[row] = lower[row]
         row += 1
-    least_distance(centre, q[7:], v[6:], fixed.posture, com_gain, weight, memory.root, memory.target)
+    least_distance(
+        centre, q[7:], v[6:], fixed.posture, posture_stiffness, posture_damping, com_gain, weight, memory.root, memory.target
+    )  # fmt: skip
     _change_variables(memory.root, matrix, lower, upper, n)
     scale = np.sqrt(REGULARISATION)
     for c in range(1, k):
         for i in range(6):
             memory.target[n + 6 * (c - 1) + i] = scale * fixed.shares[c, i]
+    farthest = 0.0
+    for c in range(k):
+        farthest = max(farthest, dyn.errors[c, 0] ** 2 + dyn.errors[c, 1] ** 2 + dyn.errors[c, 2] ** 2)
+    return np.sqrt(farthest)
 
 
 @numba.njit(cache=True)
@@ -181,9 +259,10 @@ def _change_variables(root, matrix, lower, upper, n):
 
 
 @numba.njit(cache=True)
-def recover(y, memory, acceleration, torque, wrenches):
+def recover(y, memory_store, contacts, joints, rows, acceleration, torque, wrenches):
     """Joint and base accelerations, torques and wrenches from y, written in place."""
-    dyn, n, k = memory.reduced, memory.root.shape[2], memory.reduced.jacobians.shape[0]
+    memory = memory_in(memory_store, contacts, joints, rows)
+    dyn, n, k = memory.reduced, joints, contacts
     scale = 1.0 / np.sqrt(REGULARISATION)
     along = np.zeros(3)
     for s in range(3):

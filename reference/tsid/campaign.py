@@ -15,25 +15,28 @@ import json
 import signal
 import sys
 import time
-import tomllib
 from collections import Counter
 from collections.abc import Callable
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from tqdm import tqdm
+from reference.extras import extra
 
-from reference.tsid.journal import Busy, Journal
-from reference.tsid.labels import Row, Settings, labeller, toolbox
-from reference.tsid.robot import configuration, load
-from reference.tsid.sampling import DISTRIBUTION, SCENARIOS
-from reference.tsid.table import Unreadable, read, write
-from reference.tsid.workers import Died, answers
+with extra("sim", __name__):
+    from tqdm import tqdm
+
+    from reference.tsid.journal import Busy, Journal
+    from reference.tsid.labels import BEST_OF_FOUR, Row, Settings, labeller, toolbox
+    from reference.tsid.robot import entries_of, load
+    from reference.tsid.sampling import DISTRIBUTION, SCENARIOS
+    from reference.tsid.table import Unreadable, read, write
+    from reference.tsid.workers import Died, answers
 
 LIBRARIES = ("numpy", "scipy", "pin", "coal", "example-robot-data", "daqp", "proxsuite", "numba", "pyarrow")
 
-BEST_OF_THREE = ("standard", "straight", "fast")
+STATES = 10_000
+"""Rows that hold q and v, unless told otherwise."""
 
 
 class Refused(Exception):
@@ -60,9 +63,10 @@ def _parse(arguments: list[str] | None) -> argparse.Namespace:
     add("--jobs", type=_positive(int), default=1, metavar="J", help="processes, one core each (default: 1)")
     add("--seed", type=_seed, default=0)
     add("--robot", default="talos", help="a name in reference/tsid/robots, or a TOML file (default: talos)")
-    add("--controllers", nargs="+", default=BEST_OF_THREE, metavar="NAME", help=f"default: {' '.join(BEST_OF_THREE)}")
+    add("--controllers", nargs="+", default=BEST_OF_FOUR, metavar="NAME", help=f"default: {' '.join(BEST_OF_FOUR)}")
     add("--all", action="store_true", help="run every controller; else one runs if those before it did not stop the robot")
     add("--zero-momentum", action="store_true", help="pushes without angular momentum")
+    add("--states", type=int, default=STATES, metavar="N", help=f"rows that hold q and v (default: {STATES})")
     add("--budget", type=_positive(float), metavar="SECONDS", help="start no sample after this time")
     add("--set", action="append", default=[], metavar="NAME=VALUE", help="an option of the simulator")
     add("--simulator", default="reference.tsid.simulator", metavar="MODULE", help="with Simulator and Options of its own")
@@ -105,7 +109,7 @@ def settings_of(options: argparse.Namespace) -> Settings:
             tools.simulator(robot, tools.configurations[name], tools.options(**values))
     except ValueError as error:
         raise Refused(str(error)) from error
-    entries = tomllib.loads(configuration(options.robot).read_text(encoding="utf-8"))
+    entries = entries_of(options.robot)
     return Settings(
         scenario=options.scenario,
         robot=robot.name,
@@ -118,6 +122,8 @@ def settings_of(options: argparse.Namespace) -> Settings:
         simulator=options.simulator,
         options=values,
         sampling=DISTRIBUTION,
+        effectors={name: {"half_length": e.half_length, "half_width": e.half_width} for name, e in robot.effectors.items()},
+        states=max(0, options.states),
     )
 
 

@@ -7,11 +7,10 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from reference.tsid.assembly import CONE_ROWS, Fixed, Memory, assemble, recover
-from reference.tsid.dynamics import reduced
+from reference.tsid.assembly import Fixed, Sizes, assemble, fixed_in, memory_in, memory_size, recover
 from reference.tsid.robot import Robot, Sample
 from reference.tsid.solvers import Problem
-from reference.tsid.tasks import COM_WEIGHT, centroid
+from reference.tsid.tasks import COM_WEIGHT, POSTURE_DAMPING, POSTURE_STIFFNESS
 from reference.tsid.wrench_cone import wrench_cone
 
 
@@ -28,12 +27,19 @@ class Configuration(NamedTuple):
     """The CoM stays on the line of its initial velocity."""
     constant_momentum: bool = False
     """The angular momentum about the CoM does not change."""
+    posture_stiffness: float = POSTURE_STIFFNESS
+    """[1/s^2]"""
+    posture_damping: float = POSTURE_DAMPING
+    """[1/s]"""
+    com_gain: float | None = None
+    """Of the CoM's task, which asks for the acceleration -gain velocity [1/s]; None: 1/dt, to stop within a step."""
 
 
 CONFIGURATIONS = {
     "standard": Configuration(),
     "straight": Configuration(straight_com=True),
     "fast": Configuration(deceleration=30.0),
+    "brake": Configuration(deceleration=30.0, posture_stiffness=0.0, posture_damping=15.0, com_gain=7.0),
     "no_torque": Configuration(torque_limits=False),
     "no_position": Configuration(position_limits=False),
     "no_position_torque": Configuration(torque_limits=False, position_limits=False),
@@ -41,7 +47,9 @@ CONFIGURATIONS = {
     "no_limits": Configuration(torque_limits=False, position_limits=False, velocity_limits=False),
     "constant_momentum": Configuration(constant_momentum=True),
 }
-"""The three controllers of V-A, whose best outcome is the truth, and the ablations of V-D. "straight" is both."""
+"""The three controllers of V-A, whose best outcome is the paper's truth; "brake", which has no posture to go back to and
+brakes the CoM over some steps in place of one, and so stops robots that the three let fall; the ablations of V-D. "straight"
+is both of the first and the last."""
 
 
 class Command(NamedTuple):
@@ -61,42 +69,48 @@ class Controller:
     def __init__(self, robot: Robot, configuration: Configuration, sample: Sample, dt: float, stabilisation=(100.0, 20.0)):
         self.robot, self.sample = robot, sample
         self.data = robot.model.createData()
-        self.links = [robot.model.frames[robot.effectors[c.effector].frame].parentJoint for c in sample.contacts]
-        k, n = len(sample.contacts), robot.model.nv - 6
-        self.fixed = _fixed(robot, configuration, sample, dt, stabilisation)
-        self.rows = 2 * n + CONE_ROWS * k + 6 * (k - 1) + len(self.fixed.across) + len(self.fixed.momentum)
-        self.size = n + 6 * (k - 1)
-        shape = (self.rows, self.size)
-        arrays = np.zeros(shape), np.zeros(self.rows), np.zeros(self.rows), np.zeros(self.size)
-        self.memory = Memory(reduced(k, n), centroid(n), np.zeros((k + 1, 4, 4)), np.zeros((2, 3, n)), *arrays)
-        self.problem = Problem(*arrays)
+        links = [robot.model.frames[robot.effectors[c.effector].frame].parentJoint for c in sample.contacts]
+        fixed = _fixed(robot, configuration, sample, dt, stabilisation)
+        self.sizes = Sizes(len(sample.contacts), robot.model.nv - 6, len(fixed.across), len(fixed.momentum))
+        self.rows, self.size = self.sizes.rows, self.sizes.joints + 6 * (self.sizes.contacts - 1)
+        self._fixed = np.concatenate([np.ravel(values) for values in fixed])
+        self._memory = np.zeros(memory_size(self.sizes.contacts, self.sizes.joints, self.rows))
+        self.fixed = fixed_in(self._fixed, *self.sizes)
+        self.memory = memory_in(self._memory, self.sizes.contacts, self.sizes.joints, self.rows)
+        self.problem = Problem(self.memory.matrix, self.memory.lower, self.memory.upper, self.memory.target)
+        self.memory.frames[:, 3, 3] = 1.0
+        at = [self.data.oMi[joint] for joint in (1, *links)]
+        # views of what Pinocchio overwrites, made once: making them takes longer than filling them
+        self._terms = self.data.M, self.data.nle, self.data.J, self.data.dJ
+        frames = zip(self.memory.frames, at, strict=True)
+        self._views = [(frame[:3, :3], link.rotation, frame[:3, 3], link.translation) for frame, link in frames]
+        self._slip = 0.0
 
     def problem_at(self, q: np.ndarray, v: np.ndarray) -> Problem:
         """The QP at configuration q (nq,) and velocity v (nv,), in y = (H^(1/2) qdd, REGULARISATION^(1/2) (w_2..w_k)).
 
         H is the Hessian of the two tasks. Rows have norm 1. The arrays are overwritten by the next call.
         """
-        model, data, memory = self.robot.model, self.data, self.memory
+        model, data = self.robot.model, self.data
         pin.crba(model, data, q)
         pin.nonLinearEffects(model, data, q, v)
         pin.computeJointJacobiansTimeVariation(model, data, q, v)  # last: crba overwrites data.J
-        placements = data.oMi
-        memory.frames[0] = placements[1].homogeneous
-        for i, joint in enumerate(self.links):
-            memory.frames[i + 1] = placements[joint].homogeneous
-        assemble(data.M, data.nle, data.J, data.dJ, q, v, self.fixed, memory)
+        for own_rotation, rotation, own_place, place in self._views:
+            own_rotation[:] = rotation
+            own_place[:] = place
+        self._slip = assemble(*self._terms, q, v, self._fixed, self._memory, *self.sizes, self.rows)
         return self.problem
 
     def command(self, y: np.ndarray) -> Command:
         """What a solution y of the problem last posed means."""
-        k, n = len(self.sample.contacts), self.robot.model.nv - 6
+        k, n = self.sizes.contacts, self.sizes.joints
         acceleration, torque, wrenches = np.empty(n + 6), np.empty(n), np.empty((k, 6))
-        recover(y, self.memory, acceleration, torque, wrenches)
+        recover(y, self._memory, k, n, self.rows, acceleration, torque, wrenches)
         return Command(acceleration, torque, wrenches)
 
     def slip(self) -> float:
         """How far the contact that moved most was from its place at the state last posed [m]."""
-        return float(np.sqrt((self.memory.reduced.errors[:, :3] ** 2).sum(axis=1).max()))
+        return self._slip
 
 
 def _fixed(robot: Robot, configuration: Configuration, sample: Sample, dt: float, stabilisation) -> Fixed:
@@ -121,19 +135,26 @@ def _fixed(robot: Robot, configuration: Configuration, sample: Sample, dt: float
         upper=robot.upper if configuration.position_limits else none,
         speed=robot.speed if configuration.velocity_limits else none,
         torque=robot.torque if configuration.torque_limits else none,
-        gains=np.array([dt, configuration.deceleration, largest, *stabilisation, 1.0 / dt, np.sqrt(COM_WEIGHT)]),
+        gains=_gains(configuration, largest, dt, stabilisation),
         across=_across(data.vcom[0]) if configuration.straight_com else np.zeros((0, 3)),
         start=data.com[0].copy(),
         momentum=data.hg.angular.copy() if configuration.constant_momentum else np.zeros(0),
     )
 
 
+def _gains(configuration: Configuration, largest: float, dt: float, stabilisation: tuple[float, float]) -> np.ndarray:
+    """As `Fixed` has them."""
+    posture = configuration.posture_stiffness, configuration.posture_damping
+    com_gain = 1.0 / dt if configuration.com_gain is None else configuration.com_gain
+    return np.array([dt, configuration.deceleration, largest, *stabilisation, *posture, com_gain, np.sqrt(COM_WEIGHT)])
+
+
 def _chain(model: pin.Model, joint: int) -> np.ndarray:
-    """(nv,): which velocities move the link of a joint."""
-    moved = np.zeros(model.nv, dtype=bool)
+    """(nv,): 1 for velocities that move the link of a joint, else 0."""
+    moved = np.zeros(model.nv)
     for ancestor in list(model.supports[joint])[1:]:  # the first is the universe
         start = model.joints[ancestor].idx_v
-        moved[start : start + model.joints[ancestor].nv] = True
+        moved[start : start + model.joints[ancestor].nv] = 1.0
     return moved
 
 

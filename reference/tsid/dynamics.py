@@ -50,20 +50,32 @@ class Reduced(NamedTuple):
     """(6,) [N, N m]."""
 
 
-def reduced(contacts: int, joints: int) -> Reduced:
-    """Arrays for k contacts and n joints, zero."""
+@numba.njit(cache=True)
+def reduced_in(store, at, contacts, joints):
+    """`Reduced` for k contacts and n joints in a vector, from place `at` on; returns the place after it, too."""
     k, n = contacts, joints
-    shapes = [(k, 6, n + 6), (k, 6), (k, 6), (6, 6), (6, n), (6,), (n, n), (n,), (k, 6, n), (k, 6), (6, n), (6,)]
-    return Reduced(*(np.zeros(shape) for shape in shapes))
+    jacobians, at = store[at : at + k * 6 * (n + 6)].reshape((k, 6, n + 6)), at + k * 6 * (n + 6)
+    goals, errors, at = store[at : at + 6 * k], store[at + 6 * k : at + 12 * k], at + 12 * k
+    inverse, at = store[at : at + 36].reshape((6, 6)), at + 36
+    base, base_bias, at = store[at : at + 6 * n].reshape((6, n)), store[at + 6 * n : at + 6 * n + 6], at + 6 * n + 6
+    inertia, bias, at = store[at : at + n * n].reshape((n, n)), store[at + n * n : at + n * n + n], at + n * n + n
+    relative, at = store[at : at + 6 * k * n].reshape((k, 6, n)), at + 6 * k * n
+    relative_goals, at = store[at : at + 6 * k].reshape((k, 6)), at + 6 * k
+    supply, supply_bias = store[at : at + 6 * n].reshape((6, n)), store[at + 6 * n : at + 6 * n + 6]
+    goals, errors = goals.reshape((k, 6)), errors.reshape((k, 6))
+    found = Reduced(
+        jacobians, goals, errors, inverse, base, base_bias, inertia, bias, relative, relative_goals, supply, supply_bias
+    )
+    return found, at + 6 * n + 6
 
 
 @numba.njit(cache=True)
 def contact_motion(world, rate, v, chain, joint, placement, fixed, stiffness, damping, jacobian, goal, error):
     """Jacobian (6, nv), goal (6,) and error (6,) of one contact.
 
-    world, rate: (6, nv) Jacobian of all joints and its time derivative, at the world's origin. chain: (nv,) which columns
-    move the contact. joint: (4, 4), the link's joint in the world; placement: (4, 4), the contact in that joint; fixed:
-    (4, 4), where the contact should be in the world.
+    world, rate: (6, nv) Jacobian of all joints and its time derivative, at the world's origin. chain: (nv,) 1 for columns
+    that move the contact, else 0. joint: (4, 4), the link's joint in the world; placement: (4, 4), the contact in that
+    joint; fixed: (4, 4), where the contact should be in the world.
     stiffness [1/s^2], damping [1/s]: of Baumgarte's stabilisation, goal = -stiffness error - damping velocity - rate v.
     """
     at = np.empty((3, 4))
@@ -78,7 +90,7 @@ def contact_motion(world, rate, v, chain, joint, placement, fixed, stiffness, da
     drift = np.zeros(6)
     column = np.empty(6)
     for j in range(world.shape[1]):
-        if not chain[j]:
+        if chain[j] == 0.0:
             continue
         for derivative in range(2):
             source = rate if derivative else world

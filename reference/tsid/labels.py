@@ -10,6 +10,7 @@ import numpy as np
 import pinocchio as pin
 
 from reference.tsid.controller import CONFIGURATIONS
+from reference.tsid.holding import effort
 from reference.tsid.robot import Robot, Sample, load
 from reference.tsid.sampling import draw
 
@@ -17,6 +18,18 @@ Row = dict[str, Any]
 
 BEST_FIRST = ("stopped", "undecided", "fallen")
 """Outcomes in the order in which the best of several controllers is taken."""
+
+RESCUE = "brake"
+"""The controller that the paper does not have: it counts in `best_of_four` and not in `outcome`."""
+
+BEST_OF_FOUR = ("standard", "straight", "fast", RESCUE)
+"""What runs by default."""
+
+PLACE = 2.0**-20
+"""Positions of contacts are rounded to this [m]."""
+
+TURN = 2.0**-22
+"""Their quaternions are rounded to this [-]."""
 
 
 class Settings(NamedTuple):
@@ -41,13 +54,17 @@ class Settings(NamedTuple):
     """Fields of the simulator's options."""
     sampling: dict[str, float]
     """Numbers of the samples' distribution: `sampling.DISTRIBUTION`."""
+    effectors: dict[str, dict[str, float]]
+    """What the rectangles of contacts are, by name: half_length, half_width [m]."""
+    states: int
+    """Rows before this one hold q and v."""
 
 
 class Toolbox(NamedTuple):
     """What labels a sample."""
 
     simulator: Any
-    """simulator(robot, configuration, options).run(sample) returns outcome, reason, time, steps, com_end, counters."""
+    """simulator(robot, configuration, options).run(sample) returns outcome, reason, steps, counters."""
     options: Any
     """A named tuple with defaults."""
     configurations: dict[str, Any]
@@ -74,9 +91,7 @@ def labeller(settings: Settings, path: str) -> Callable[[int], Row]:
         row = {
             "outcome": run.outcome.name.lower(),
             "reason": str(run.reason),
-            "time": float(run.time),
             "steps": int(run.steps),
-            "com_end": _single(run.com_end),
             **{name: int(value) for name, value in run.counters.items()},
         }
         return {f"{controller}_{key}": value for key, value in row.items()}
@@ -86,6 +101,7 @@ def labeller(settings: Settings, path: str) -> Callable[[int], Row]:
         try:
             sample = draw(robot, settings.scenario, settings.seed, index, settings.zero_momentum)
             row |= describe(robot, sample)
+            row |= {"q": _single(sample.q), "v": _single(sample.v)} if index < settings.states else {}
             return row | judge(settings, lambda controller: simulate(sample, controller))
         except Exception as error:  # one bad sample must not end a campaign: its row says what happened
             return row | {"error": f"{type(error).__name__}: {error}"}
@@ -93,41 +109,59 @@ def labeller(settings: Settings, path: str) -> Callable[[int], Row]:
     return label
 
 
+def labels_of(settings: Settings) -> tuple[str, ...]:
+    """Columns of the best outcome among several controllers: none where all of them run."""
+    if settings.every:
+        return ()
+    return ("outcome", "best_of_four") if RESCUE in settings.controllers else ("outcome",)
+
+
 def judge(settings: Settings, simulate: Callable[[str], Row]) -> Row:
-    """The columns of the controllers that run and, unless every one has to, the best outcome among them."""
+    """The columns of the controllers that run and, unless every one has to, the best outcomes among them.
+
+    `outcome` is the best without RESCUE, as in the paper; `best_of_four` the best with it.
+    """
     row: Row = {}
-    outcomes = []
+    outcomes: dict[str, str] = {}
     for controller in settings.controllers:
         row |= simulate(controller)
-        outcomes.append(row[f"{controller}_outcome"])
-        if outcomes[-1] == "stopped" and not settings.every:
+        outcomes[controller] = row[f"{controller}_outcome"]
+        if outcomes[controller] == "stopped" and not settings.every:
             break
-    return row if settings.every else row | {"outcome": min(outcomes, key=BEST_FIRST.index)}
+    best = lambda names: min((outcomes[name] for name in names), key=BEST_FIRST.index)
+    found = {"outcome": best(set(outcomes) - {RESCUE} or outcomes), "best_of_four": best(outcomes)}
+    return row | {name: found[name] for name in labels_of(settings)}
 
 
 def describe(robot: Robot, sample: Sample) -> Row:
-    """State, contacts and centroidal quantities (world frame; angular momentum about the CoM [kg m^2/s])."""
+    """Centroidal quantities (world frame; angular momentum about the CoM [kg m^2/s]), contacts and effort."""
     data = robot.model.createData()
     momentum = pin.computeCentroidalMomentum(robot.model, data, sample.q, sample.v)
     return {
-        "q": _single(sample.q),
-        "v": _single(sample.v),
+        "com": _single(data.com[0]),
+        "com_velocity": _single(data.vcom[0]),
+        "angular_momentum": _single(momentum.angular),
         "contacts": [
             {
                 "effector": contact.effector,
-                "position": contact.placement.translation.tolist(),
-                "rotation": contact.placement.rotation.ravel().tolist(),
-                "half_length": contact.half_length,
-                "half_width": contact.half_width,
-                "friction": contact.friction,
+                "position": _rounded(contact.placement.translation, PLACE),
+                "quaternion": _rounded(_quaternion(contact.placement.rotation), TURN),
             }
             for contact in sample.contacts
         ],
-        "com": data.com[0].tolist(),
-        "com_velocity": data.vcom[0].tolist(),
-        "angular_momentum": momentum.angular.tolist(),
+        "effort": _single(effort(robot, sample.q, sample.contacts)),
     }
 
 
-def _single(values: np.ndarray) -> list[float]:
+def _quaternion(rotation: np.ndarray) -> np.ndarray:
+    """x, y, z, w of a rotation, w not negative."""
+    found = pin.Quaternion(rotation).coeffs()
+    return -found if found[3] < 0 else found
+
+
+def _rounded(values: np.ndarray, unit: float) -> list[float]:
+    return _single(unit * np.round(np.asarray(values) / unit) + 0.0)  # + 0.0: no negative zeros
+
+
+def _single(values: np.ndarray | float) -> Any:
     return np.asarray(values).astype(np.float32).tolist()

@@ -93,6 +93,12 @@ def configuration(robot: str | os.PathLike) -> Path:
     return path
 
 
+def entries_of(robot: str | os.PathLike) -> dict[str, Any]:
+    """What a configuration says: its own keys and, where it says `like = NAME`, those of that one which it has not."""
+    entries = tomllib.loads(configuration(robot).read_text(encoding="utf-8"))
+    return entries_of(entries.pop("like")) | entries if "like" in entries else entries
+
+
 def load(robot: str | os.PathLike) -> Robot:
     """A robot by the name of a file in `robots/`, or from a TOML file of its own (`robots/talos.toml` explains the keys).
 
@@ -100,9 +106,8 @@ def load(robot: str | os.PathLike) -> Robot:
     to each other, and those that touch in the home posture: shapes that overlap there are drawn too large.
     Raises FileNotFoundError naming the missing file; ValueError naming the key that is missing, unknown or wrong.
     """
-    path = configuration(robot)
-    entries = tomllib.loads(path.read_text(encoding="utf-8"))
-    unknown = set(entries) - {"urdf", "srdf", "packages", "home", "locked", "effectors"}
+    path, entries = configuration(robot), entries_of(robot)
+    unknown = set(entries) - {"urdf", "srdf", "packages", "home", "locked", "effectors", "torque"}
     missing = {"urdf", "packages", "home", "effectors"} - set(entries)
     if unknown or missing:
         raise ValueError(f"{path.name}: unknown keys {sorted(unknown)}, missing keys {sorted(missing)} (expected none)")
@@ -117,7 +122,12 @@ def load(robot: str | os.PathLike) -> Robot:
     home = _home(path, model, entries["home"])
     _keep_pairs(model, shapes, srdf, home)
     found = {key: _effector(path, model, key, entries["effectors"].get(key)) for key in EFFECTORS}
-    return Robot(path.stem, model, shapes, home, found, *_limits(path, model))
+    lower, upper, speed, torque = _limits(path, model)
+    for name, value in entries.get("torque", {}).items():
+        if not value > 0:
+            raise ValueError(f"{path.name}: torque.{name} = {value} (expected a positive torque)")
+        torque[model.joints[_joint(path, "torque", model, name)].idx_v - 6] = value
+    return Robot(path.stem, model, shapes, home, found, lower, upper, speed, torque)
 
 
 def _find(configuration: Path, key: str, relative: str) -> Path:

@@ -24,8 +24,12 @@ from reference.tsid.push import DECELERATION, STEPS, push
 from reference.tsid.robot import Contact, Robot, Sample
 from reference.tsid.wrench_cone import equilibrium
 
-SCENARIOS = ("two_coplanar", "two", "three", "four")
-"""Feet on one plane; feet anywhere; feet and one hand, left or right; feet and hands. Their order is part of the seed."""
+SCENARIOS = ("two_coplanar", "two", "three", "four", "four_strong")
+"""Feet on one plane; feet anywhere; feet and one hand, left or right; feet and hands; the same postures as those of `four`,
+pushed harder. The order of the first four is part of the seed."""
+
+STRONG = "_strong"
+"""How the name of a scenario ends whose pushes are `strong` ones."""
 
 FRICTION = 0.5
 """mu of every contact [-]."""
@@ -70,20 +74,21 @@ def draw(robot: Robot, scenario: str, seed: int, index: int, zero_momentum: bool
     """
     if scenario not in SCENARIOS:
         raise ValueError(f"scenario = {scenario!r} (expected one of: {', '.join(SCENARIOS)})")
-    rng = np.random.default_rng(np.random.SeedSequence((seed, SCENARIOS.index(scenario), index)))
+    strong, scenario_of_postures = scenario.endswith(STRONG), scenario.removesuffix(STRONG)
+    rng = np.random.default_rng(np.random.SeedSequence((seed, SCENARIOS.index(scenario_of_postures), index)))
     data, shapes = robot.model.createData(), robot.collisions.createData()
     for _ in range(ATTEMPTS):
-        effectors = _effectors(scenario, rng)
+        effectors = _effectors(scenario_of_postures, rng)
         q = posture(robot, data, scenario, rng)
         if q is None:
             continue
         contacts = place(robot, data, q, effectors)
         if scenario != "two_coplanar" and contacts[1].placement.rotation[2, 2] < STEEPEST:
             continue
-        if pin.computeCollisions(robot.model, data, robot.collisions, shapes, q, True):
+        if not equilibrium(contacts, pin.centerOfMass(robot.model, data, q), robot.model.gravity.linear):
             continue
-        if equilibrium(contacts, pin.centerOfMass(robot.model, data, q), robot.model.gravity.linear):
-            return Sample(scenario, seed, index, q, push(robot, q, effectors, rng, zero_momentum), contacts)
+        if not pin.computeCollisions(robot.model, data, robot.collisions, shapes, q, True):
+            return Sample(scenario, seed, index, q, push(robot, q, effectors, rng, zero_momentum, strong), contacts)
     raise ArithmeticError(f"{robot.name}, {scenario}, sample {index}: none of {ATTEMPTS} postures is in equilibrium")
 
 

@@ -1,9 +1,10 @@
 """Rows as a Parquet file: the same rows and settings give the same bytes, and a file appears whole or not at all.
 
-Columns: scenario, robot, seed, index; q, v (float32: what was simulated, see `sampling`); contacts (a list of rectangles,
-rotation row by row); com [m], com_velocity [m/s], angular_momentum [kg m^2/s]; outcome (the best of the controllers); error
-(null but for a failed sample); then for each controller its outcome, reason, time [s], steps, com_end [m], and the solver's
-counters. Columns of a controller that did not run are null.
+Columns: index; com [m], com_velocity [m/s], angular_momentum [kg m^2/s]; contacts (a list of rectangles: effector, position,
+quaternion x, y, z, w; the settings have an effector's sizes); effort [-]; q, v (what was simulated, see `sampling`; null
+from row `settings.states` on: they follow from the seed); outcome and best_of_four (`labels.judge`); error (null but for a
+failed sample); then for each controller its outcome, reason, steps, and what was counted in its run. Columns of a controller
+that did not run are null. All floats are float32.
 """
 
 from __future__ import annotations
@@ -16,34 +17,24 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from reference.tsid.labels import Row, Settings
+from reference.tsid.labels import Row, Settings, labels_of
 
 KEY = b"tsid"
 """Under which the file's metadata hold, as JSON, `settings` and `versions` (of the libraries that made the rows)."""
 
 WORD = pa.dictionary(pa.int32(), pa.string())
 
-CONTACT = pa.struct(
-    {
-        "effector": pa.string(),
-        "position": pa.list_(pa.float64(), 3),
-        "rotation": pa.list_(pa.float64(), 9),
-        "half_length": pa.float64(),
-        "half_width": pa.float64(),
-        "friction": pa.float64(),
-    }
-)
+FLOAT = pa.float32()
 
-VECTOR = pa.list_(pa.float64(), 3)
+VECTOR = pa.list_(FLOAT, 3)
 
-RUN = {"outcome": WORD, "reason": WORD, "time": pa.float64(), "steps": pa.int32(), "com_end": pa.list_(pa.float32(), 3)}
+CONTACT = pa.struct({"effector": pa.string(), "position": VECTOR, "quaternion": pa.list_(FLOAT, 4)})
+
+RUN = {"outcome": WORD, "reason": WORD, "steps": pa.int32()}
 """Columns of a controller, before its counters."""
 
-CONSTANT = ("scenario", "robot", "seed")
-"""Columns that the settings hold."""
-
-NOISY = ("q", "v", "position", "rotation", "com", "com_velocity", "angular_momentum", "com_end")
-"""Vectors of floats without repetition, which shrink by splitting their bytes into streams."""
+NOISY = ("q", "v", "position", "quaternion", "com", "com_velocity", "angular_momentum", "effort")
+"""Floats without repetition, which shrink by splitting their bytes into streams."""
 
 
 class Unreadable(Exception):
@@ -52,10 +43,9 @@ class Unreadable(Exception):
 
 def schema(settings: Settings, rows: list[Row], nq: int, nv: int) -> pa.Schema:
     """Of the columns above; the counters are those that occur in `rows`, in the order of their names."""
-    fields: dict[str, pa.DataType] = {"scenario": WORD, "robot": WORD, "seed": pa.int64(), "index": pa.int64()}
-    fields |= {"q": pa.list_(pa.float32(), nq), "v": pa.list_(pa.float32(), nv), "contacts": pa.list_(CONTACT)}
-    fields |= {"com": VECTOR, "com_velocity": VECTOR, "angular_momentum": VECTOR}
-    fields |= ({} if settings.every else {"outcome": WORD}) | {"error": pa.string()}
+    fields: dict[str, pa.DataType] = {"index": pa.int32(), "com": VECTOR, "com_velocity": VECTOR, "angular_momentum": VECTOR}
+    fields |= {"contacts": pa.list_(CONTACT), "effort": FLOAT, "q": pa.list_(FLOAT, nq), "v": pa.list_(FLOAT, nv)}
+    fields |= dict.fromkeys(labels_of(settings), WORD) | {"error": pa.string()}
     for controller in settings.controllers:
         fields |= {f"{controller}_{name}": kind for name, kind in RUN.items()}
         fields |= dict.fromkeys(_counters(settings, rows, controller), pa.int32())
@@ -71,13 +61,12 @@ def _counters(settings: Settings, rows: list[Row], controller: str) -> list[str]
 
 
 def _filled(settings: Settings, rows: list[Row]) -> list[Row]:
-    """The rows with what the settings hold, and with 0 for what a controller that ran did not count."""
-    constant = {name: getattr(settings, name) for name in CONSTANT}
+    """The rows with 0 for what a controller that ran did not count."""
     zeros = {name: dict.fromkeys(_counters(settings, rows, name), 0) for name in settings.controllers}
     filled = []
     for row in rows:
         ran = [zero for name, zero in zeros.items() if f"{name}_outcome" in row]
-        filled.append(constant | {key: value for zero in ran for key, value in zero.items()} | row)
+        filled.append({key: value for zero in ran for key, value in zero.items()} | row)
     return filled
 
 
@@ -88,7 +77,8 @@ def write(path: Path, settings: Settings, versions: list[dict[str, str]], rows: 
     metadata = {"settings": settings._asdict(), "versions": versions}
     table = table.replace_schema_metadata({KEY: json.dumps(metadata, sort_keys=True)})
     leaves = _leaves(layout)
-    noisy = [leaf for leaf in leaves if any(part in NOISY or part.endswith("_com_end") for part in leaf.split("."))]
+    encodings = {leaf: "BYTE_STREAM_SPLIT" for leaf in leaves if any(part in NOISY for part in leaf.split("."))}
+    encodings["index"] = "DELTA_BINARY_PACKED"
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
         with open(temporary, "wb") as file:
@@ -97,8 +87,8 @@ def write(path: Path, settings: Settings, versions: list[dict[str, str]], rows: 
                 file,
                 compression="zstd",
                 compression_level=12,
-                use_dictionary=[leaf for leaf in leaves if leaf not in noisy],
-                use_byte_stream_split=noisy,
+                use_dictionary=[leaf for leaf in leaves if leaf not in encodings],
+                column_encoding=encodings,
                 row_group_size=1 << 16,
                 write_statistics=False,
             )
@@ -122,15 +112,22 @@ def _leaves(layout: pa.Schema) -> list[str]:
     return [f"{field.name}{rest}" for field in layout for rest in below(field.type)]
 
 
-def read(path: Path) -> tuple[dict[str, Any], list[dict[str, str]], list[Row]]:
-    """Settings, versions and rows of a file that `write` wrote. Raises `Unreadable` naming it if it is another."""
+def columns(path: Path, first: int | None = None) -> tuple[dict[str, Any], list[dict[str, str]], pa.Table]:
+    """Settings, versions and columns of a file that `write` wrote, of its first rows only if `first` says how many.
+
+    Raises `Unreadable` naming the file if it is another.
+    """
     try:
         table = pq.read_table(path)
         metadata = json.loads(table.schema.metadata[KEY])
-        rows = [
-            {name: value for name, value in row.items() if value is not None and name not in CONSTANT}
-            for row in table.to_pylist()
-        ]
+        if "effort" not in table.column_names:
+            raise KeyError("no column 'effort'")
+        return metadata["settings"], metadata["versions"], table if first is None else table.slice(0, first)
     except (pa.ArrowException, KeyError, TypeError, ValueError) as error:
         raise Unreadable(f"{path}: not the file of a campaign ({error})") from error
-    return metadata["settings"], metadata["versions"], rows
+
+
+def read(path: Path, first: int | None = None) -> tuple[dict[str, Any], list[dict[str, str]], list[Row]]:
+    """Settings, versions and rows, without what is null, as `columns` has them."""
+    settings, versions, table = columns(path, first)
+    return settings, versions, [{n: value for n, value in row.items() if value is not None} for row in table.to_pylist()]

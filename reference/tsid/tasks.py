@@ -6,6 +6,7 @@ angular momentum about the CoM changes by F_angular - c x F_linear.
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numba
@@ -14,7 +15,7 @@ import numpy as np
 POSTURE_STIFFNESS = 30.0
 """kp of the posture task [1/s^2]."""
 
-POSTURE_DAMPING = 2.0 * np.sqrt(POSTURE_STIFFNESS)
+POSTURE_DAMPING = 2.0 * math.sqrt(POSTURE_STIFFNESS)
 """kd of the posture task [1/s]."""
 
 COM_WEIGHT = 1e3
@@ -40,10 +41,14 @@ class Centroid(NamedTuple):
     """(3,) [N m]."""
 
 
-def centroid(joints: int) -> Centroid:
-    """Arrays for n joints, zero."""
-    shapes = [(3,), (3,), (3,), (3, joints), (3,), (3, joints), (3,)]
-    return Centroid(*(np.zeros(shape) for shape in shapes))
+@numba.njit(cache=True)
+def centroid_in(store, at, joints):
+    """`Centroid` for n joints in a vector, from place `at` on; returns the place after it, too."""
+    n = joints
+    com, velocity, momentum, at = store[at : at + 3], store[at + 3 : at + 6], store[at + 6 : at + 9], at + 9
+    jacobian, drift, at = store[at : at + 3 * n].reshape((3, n)), store[at + 3 * n : at + 3 * n + 3], at + 3 * n + 3
+    rate, rate_drift = store[at : at + 3 * n].reshape((3, n)), store[at + 3 * n : at + 3 * n + 3]
+    return Centroid(com, velocity, momentum, jacobian, drift, rate, rate_drift), at + 3 * n + 3
 
 
 @numba.njit(cache=True)
@@ -77,10 +82,11 @@ def centroidal(mass, v, base, gravity, supply, supply_bias, out):
 
 
 @numba.njit(cache=True)
-def least_distance(centre, joints, v, posture, com_gain, weight, root, target):
+def least_distance(centre, joints, v, posture, stiffness, damping, com_gain, weight, root, target):
     """The two tasks' cost as a distance: |qdd - qdd_des|^2 + weight^2 |acc - acc_des|^2 = |y - target|^2 + constant.
 
-    centre: `Centroid`. joints, v: (n,) positions and velocities. posture: (n,) to maintain. com_gain: kd = 1/dt [1/s].
+    centre: `Centroid`. joints, v: (n,) positions and velocities. posture: (n,) to maintain, with stiffness kp [1/s^2] and
+    damping kd [1/s]. com_gain: kd of the CoM task [1/s].
     The Hessian is 1 + U'U with U = weight jacobian, of rank 3; qdd = (1 + U'U)^(-1/2) y is a row-wise update of rank 3:
     (1 + U'U)^(-1/2) = 1 - U' K U with K = V diag(1 / (s (1 + s))) V', U U' = V diag(s^2 - 1) V'.
     Writes K U to root[0] and U to root[1] (3, n each), and target (n,).
@@ -114,7 +120,7 @@ def least_distance(centre, joints, v, posture, com_gain, weight, root, target):
                 projection[i] += vectors[i, m] * vectors[k, m] / scale[m] * weight * wanted
     along = np.zeros(3)
     for j in range(n):
-        target[j] = POSTURE_STIFFNESS * (posture[j] - joints[j]) - POSTURE_DAMPING * v[j]
+        target[j] = stiffness * (posture[j] - joints[j]) - damping * v[j]
         for i in range(3):
             along[i] += ku[i, j] * target[j]
     for j in range(n):

@@ -10,10 +10,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.optimize import linprog
+from scipy.optimize import linprog, nnls
 
 from reference.contacts import GRAVITY, wrench_rays
 from reference.tsid.robot import Contact
+
+NOTHING, SOMETHING = 1e-12, 1e-3
+"""Shares of the weight: what forces that carry it may leave, and what they leave at least where proved not to [-]."""
 
 CORNERS = np.array([(1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0)])
 """Signs of the four corners along the length and the width."""
@@ -54,8 +57,10 @@ def equilibrium(contacts: Sequence[Contact], com: np.ndarray, gravity: Sequence[
     """Whether forces in the corners' pyramids can hold a body at rest whose centre of mass is `com`.
 
     contacts: one or more. com: (3,) [m], world frame. gravity: (3,) [m/s^2]. The mass cancels.
-    The program is: the greatest share, at most 1, of the body's weight that forces in the pyramids can carry. It has a
-    solution always, which a plain feasibility problem has not, and since the pyramids are cones the share is 0 or 1.
+    Nonnegative least squares answers nearly always, and proves it: by forces that leave nothing (NOTHING), or by what the
+    best forces leave, a direction against which no force of the pyramids helps. The rest is for a linear program: the
+    greatest share, at most 1, of the body's weight that forces in the pyramids can carry. It has a solution always, which a
+    plain feasibility problem has not, and since the pyramids are cones the share is 0 or 1.
     Solved by HiGHS; raises ArithmeticError where it does not solve it.
     """
     points = np.concatenate([corner_points(contact) for contact in contacts])
@@ -64,6 +69,9 @@ def equilibrium(contacts: Sequence[Contact], com: np.ndarray, gravity: Sequence[
     rays, origin = wrench_rays(points, frames, friction)
     weight = -np.asarray(gravity, dtype=float)  # what the contacts must supply, per unit mass
     target = np.concatenate([weight, np.cross(np.asarray(com) - origin, weight)])
+    proved = _proved(rays, target)
+    if proved is not None:
+        return proved
     columns = rays.shape[1] + 1
     bounds = np.column_stack([np.zeros(columns), np.full(columns, np.inf)])
     bounds[-1, 1] = 1.0
@@ -73,3 +81,17 @@ def equilibrium(contacts: Sequence[Contact], com: np.ndarray, gravity: Sequence[
     if result.status != 0:
         raise ArithmeticError(f"static equilibrium: HiGHS ended with status {result.status}: {result.message}")
     return bool(result.x[-1] > 0.5)
+
+
+def _proved(rays: np.ndarray, target: np.ndarray) -> bool | None:
+    """Whether nonnegative weights of the rays (6, r) make up the target (6,); None where least squares do not settle it."""
+    try:
+        weights, _ = nnls(rays, target)
+    except RuntimeError:  # too many iterations
+        return None
+    left, size = target - rays @ weights, np.linalg.norm(target)
+    distance = np.linalg.norm(left)
+    if distance <= NOTHING * size:
+        return True
+    helps = (left @ rays).max() / distance  # of a unit of force, along what is left
+    return False if distance > SOMETHING * size and helps <= NOTHING else None

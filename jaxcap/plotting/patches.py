@@ -3,6 +3,7 @@
 import numpy as np
 from jaxtyping import Float
 from matplotlib.axes import Axes
+from matplotlib.typing import ColorType
 
 from jaxcap.contacts.contact_set import ContactSet
 from jaxcap.plotting.style import DARK, axes_or_new, halo
@@ -13,10 +14,16 @@ IN_ONE_PLANE = 1e-6
 """Corners this close to a rectangle's are its corners [m]."""
 
 
-def footprint(contacts: ContactSet, *, color=DARK, ax: Axes | None = None) -> Axes:
+def footprint(contacts: ContactSet, *, color: ColorType = DARK, ax: Axes | None = None) -> Axes:
     """The contacts seen from above: feet and hands as outlines, single points as crosses.
 
-    contacts: one set; masked contacts are left out. Returns the axes.
+    Args:
+        contacts: One set; masked contacts are left out.
+        color: Of outlines and crosses.
+        ax: Axes to draw into; by default those of a new figure.
+
+    Returns:
+        The axes.
     """
     ax = axes_or_new(ax, (6.4, 5.6))
     for corners in patches(contacts):
@@ -44,7 +51,7 @@ def patches(contacts: ContactSet) -> list[Float[np.ndarray, "c 3"]]:
     return found
 
 
-def _rectangle(points, frames) -> bool:
+def _rectangle(points: Float[np.ndarray, "k 3"], frames: Float[np.ndarray, "k 3 3"]) -> bool:
     """Whether these are four corners in order around a rectangle along the tangents of their one frame."""
     if len(points) < 4 or not np.allclose(frames, frames[0], atol=IN_ONE_PLANE):
         return False

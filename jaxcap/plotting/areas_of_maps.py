@@ -1,25 +1,46 @@
 """Velocity areas out of a map, and the push that is stopped in every direction."""
 
+from typing import TYPE_CHECKING, Any
+
 import numpy as np
+from jaxtyping import Bool, Int
 from matplotlib.axes import Axes
+from matplotlib.typing import ColorType
 
 from jaxcap.plotting.areas import velocity_areas
 from jaxcap.plotting.kernels import at_selection
 from jaxcap.plotting.style import BLUE
 from jaxcap.regions.velocity_area import VelocityArea
 
+if TYPE_CHECKING:
+    import xarray as xr
+
 POLAR = ("com_x", "com_y", "heading")
 """Axes of a map of velocity areas."""
 
 
-def map_areas(dataset, *, places: int = 4, color=BLUE, ax: Axes | None = None, **selection: float) -> Axes:
+def map_areas(
+    dataset: "xr.Dataset",
+    *,
+    places: int = 4,
+    color: ColorType = BLUE,
+    ax: Axes | None = None,
+    **selection: float,
+) -> Axes:
     """Velocity areas at a few CoM positions of a map; see `velocity_areas`.
 
-    dataset: an xarray.Dataset from `jaxcap.maps` with max_speed, and perhaps min_speed, over com_x, com_y and heading.
-    places: positions along each axis, evenly spread over where the robot can stand, or over the map. selection: a value for
-    each other axis, of which the nearest grid point is taken.
+    Args:
+        dataset: From `jaxcap.maps`, with max_speed, and perhaps min_speed, over com_x, com_y and heading.
+        places: Positions along each axis, evenly spread over where the robot can stand, or over the map.
+        color: Of the areas.
+        ax: Axes to draw into; by default those of a new figure.
+        **selection: A value for each other axis, of which the nearest grid point is taken.
 
-    Returns the axes. Raises ValueError for a map without these axes or fields, or with others that are not selected.
+    Returns:
+        The axes.
+
+    Raises:
+        ValueError: For a map without these axes or fields, or with others that are not selected.
     """
     plane = _polar(dataset, selection)
     field = lambda name: np.asarray(plane[name].transpose(*POLAR), float)
@@ -31,15 +52,27 @@ def map_areas(dataset, *, places: int = 4, color=BLUE, ax: Axes | None = None, *
     directions = np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], axis=1)
     x, y = np.asarray(plane["com_x"], float)[rows], np.asarray(plane["com_y"], float)[columns]
     coms = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
-    chosen = lambda values: values[np.ix_(rows, columns)].reshape(len(coms), *values.shape[2:])
-    areas = VelocityArea(directions, chosen(smallest), chosen(largest), chosen(standing))
+
+    def chosen(values: np.ndarray) -> Any:
+        return values[np.ix_(rows, columns)].reshape(len(coms), *values.shape[2:])
+
+    of_map: Any = directions
+    areas = VelocityArea(of_map, chosen(smallest), chosen(largest), chosen(standing))
     return velocity_areas(areas, coms, color=color, ax=ax)
 
 
-def weakest(dataset, **selection: float):
-    """The largest speed that can be stopped whatever its heading: a map `weakest` of com_x and com_y, for `kernel_slice`.
+def weakest(dataset: "xr.Dataset", **selection: float) -> "xr.Dataset":
+    """The largest speed that can be stopped whatever its heading.
 
-    dataset, selection: as in `map_areas`, and so are the errors. Where a heading is undecided there is no figure.
+    Args:
+        dataset: As in `map_areas`.
+        **selection: As in `map_areas`.
+
+    Returns:
+        A map `weakest` of com_x and com_y, for `kernel_slice`; where a heading is undecided there is no figure.
+
+    Raises:
+        ValueError: As in `map_areas`.
     """
     plane = _polar(dataset, selection)
     least = plane[["max_speed"]].min("heading", skipna=False, keep_attrs=True).rename(max_speed="weakest")
@@ -47,7 +80,7 @@ def weakest(dataset, **selection: float):
     return least
 
 
-def _polar(dataset, selection):
+def _polar(dataset: "xr.Dataset", selection: dict[str, float]) -> "xr.Dataset":
     """The map at the selection, if it has the axes and fields of velocity areas."""
     if "max_speed" not in dataset.data_vars:
         raise ValueError(f"'max_speed' is not in the map (it holds {', '.join(map(str, dataset.data_vars)) or 'nothing'})")
@@ -57,7 +90,7 @@ def _polar(dataset, selection):
     return at_selection(dataset, "max_speed", POLAR, selection)
 
 
-def _spread(wanted, places: int):
+def _spread(wanted: Bool[np.ndarray, " n"], places: int) -> Int[np.ndarray, " k"]:
     """Indices of a few grid points, evenly spread from the first to the last that is wanted, not at the ends themselves."""
     known = np.flatnonzero(wanted)
     first, last = (known[0], known[-1]) if len(known) else (0, len(wanted) - 1)

@@ -1,0 +1,37 @@
+"""What every scorer asks of its arguments, and positions relative to the contacts.
+
+Positions are subtracted in the precision in which they come, before anything is cast: a robot at UTM coordinates, 5e5 m from
+the origin, is scored in single precision as one at the origin.
+"""
+
+from typing import Any
+
+import jax
+import numpy as np
+
+from jaxcap.contacts.cone import CentroidalCone, ConeRays
+from jaxcap.contacts.contact_set import ContactSet
+
+
+def check_cone(cone: Any) -> None:
+    """Raises TypeError for what is neither faces nor rays."""
+    if not isinstance(cone, CentroidalCone | ConeRays):
+        hint = "centroidal_cone(contacts) or cone_rays(contacts)"
+        what = f"a {type(cone).__name__}" if isinstance(cone, ContactSet) else f"{type(cone).__name__}"
+        raise TypeError(f"cone: {what} (expected {hint})")
+
+
+def relative(cone: CentroidalCone | ConeRays, coms: Any) -> tuple[CentroidalCone | ConeRays, Any]:
+    """Cone and CoM positions with the contacts' centroid as their origin, where both are NumPy's; else as they are.
+
+    JAX's arrays have their precision already. In NumPy the difference is taken in double precision, then rounded to the
+    dtype of `coms`.
+    """
+    if isinstance(coms, jax.Array) or not isinstance(cone.origin, np.ndarray):
+        return cone, coms
+    coms = np.asarray(coms)
+    if coms.dtype.kind not in "iuf":
+        return cone, coms
+    arms = np.subtract(coms, cone.origin, dtype=np.float64)
+    dtype = coms.dtype if coms.dtype.kind == "f" else np.float64
+    return cone._replace(origin=np.zeros_like(cone.origin)), arms.astype(dtype)

@@ -1,0 +1,59 @@
+"""Tables that tell postures apart: they count every sample once, and less effort never adds one."""
+
+import numpy as np
+import pytest
+
+from reference.evaluation import postures
+from reference.evaluation.margins import MARGINS
+from reference.evaluation.samples import BEST, FOUR, MissingFile, Runs, Samples
+
+N = 400
+WORDS = np.array(["fallen", "stopped", "undecided"])
+
+
+@pytest.fixture
+def file(monkeypatch):
+    """Random outcomes, brake stopping some of what fell; margins that order them but for some noise."""
+    random = np.random.default_rng(12)
+    best = WORDS[random.choice(3, N, p=[0.5, 0.4, 0.1])]
+    four = np.where((best == "fallen") & (random.uniform(size=N) < 0.2), "stopped", best)
+    margin = np.where(four == "fallen", -0.2, 0.2) + random.normal(size=N)
+    monkeypatch.setattr(postures, "compared", lambda *_: {one.column: margin for one in MARGINS})
+    runs = {name: Runs(best, best, np.ones(N)) for name in ("standard", "straight", "fast", "brake")}
+    outcomes = {BEST: best, FOUR: four}
+    blank = Samples(*[None] * len(Samples._fields))
+    return blank._replace(
+        name="three", scenario="three", controllers=tuple(runs), index=np.arange(N), outcomes=outcomes,
+        runs=runs, effort=random.uniform(0, 2, N), failed=0,
+    )  # fmt: skip
+
+
+def lines(text):
+    return [line.strip("| ").split(" | ") for line in text.splitlines()[2:]]
+
+
+def test_every_sample_is_counted(file, tmp_path):
+    found = {
+        tuple(line[1:3]): [int(cell) for cell in line[3:6]]
+        for line in lines(postures.beside_the_paper({"three": file}, tmp_path))
+    }
+    for truth in (BEST, FOUR):
+        assert sum(found["all", truth]) == N
+        assert sum(found["can be held", truth]) == (file.effort <= 1).sum()
+        assert found["all", truth] == [(file.outcomes[truth] == word).sum() for word in WORDS]
+    assert found["all", FOUR][0] < found["all", BEST][0] and found["all", FOUR][2] == found["all", BEST][2]
+
+
+def test_the_same_margin_has_the_same_area(file, tmp_path):
+    for line in lines(postures.order({"three": file}, tmp_path)):
+        assert len(set(line[3 : 3 + len(MARGINS)])) == 1 and line[-1].startswith("+0.0")
+
+
+def test_what_brake_saves_is_what_the_two_outcomes_differ_by(file, tmp_path):
+    saved = [cell.split(" of ")[0] for line in lines(postures.rescued({"three": file}, tmp_path)) for cell in line[2:]]
+    assert sum(map(int, saved)) == (file.outcomes[BEST] != file.outcomes[FOUR]).sum()
+
+
+def test_without_a_best_outcome_there_is_no_table(file, tmp_path):
+    with pytest.raises(MissingFile):
+        postures.order({"three_ablations": file._replace(outcomes={"standard": file.outcomes[BEST]})}, tmp_path)
