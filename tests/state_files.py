@@ -2,6 +2,7 @@
 
 import json
 
+import jax
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -104,7 +105,8 @@ def read_metadata(path) -> dict:
 
 def fake_score(cone, coms, com_velocities, gravity=(0, 0, -9.81), neighbours=False) -> Capturability:
     """A predictor by a simple rule: capturable below 1 m/s, and in the other ways like the real one."""
-    coms, com_velocities = np.asarray(coms), np.asarray(com_velocities)
+    dtype = jax.dtypes.canonicalize_dtype(np.asarray(coms).dtype)  # as JAX takes them: the x64 switch decides
+    coms, com_velocities = np.asarray(coms, dtype), np.asarray(com_velocities, dtype)
     bad = ~np.isfinite(np.hstack([coms, com_velocities])).all(axis=1)
     speed = np.where(bad, np.nan, np.linalg.norm(com_velocities, axis=1)).astype(coms.dtype)
     still = speed == 0

@@ -204,7 +204,7 @@ WRONG = {
     "a frame with a short row": ("contact_frames", lambda f: f[0][1].pop(), "contact_frames[0] does not hold 3 x 3 numbers"),
     "friction zero": ("contact_friction", lambda f: f.__setitem__(0, 0.0), "contact_friction[0] = 0.0 (expected a positive"),
     "friction nan": ("contact_friction", lambda f: f.__setitem__(0, None), "contact_friction[0] = nan (expected a positive"),
-    "friction infinite": ("contact_friction", lambda f: f.__setitem__(0, 1e300), "contact_friction[0] = inf"),
+    "friction infinite": ("contact_friction", lambda f: f.__setitem__(0, np.inf), "contact_friction[0] = inf"),
     "a friction too many": ("contact_friction", lambda f: f.append(1.0), "as contact_points has)"),
 }
 

@@ -12,7 +12,7 @@ from jaxcap.batch.devices import Spread, spread_over
 from jaxcap.batch.rounds import Shared, States, scored_block
 from jaxcap.contacts.cone import CentroidalCone, ConeRays
 from jaxcap.contacts.conventions import GRAVITY, ArrayLike, checked_gravity
-from jaxcap.contacts.scoring_input import check_cone, relative
+from jaxcap.contacts.scoring_input import check_cone, relative, rounded
 from jaxcap.one_state.result import Capturability
 
 
@@ -51,7 +51,7 @@ def score(
     checked_gravity(gravity, finite=False)
     _check_shapes(cone, coms, com_velocities)
     cone, coms = relative(cone, coms)
-    coms, com_velocities = jnp.asarray(coms), jnp.asarray(com_velocities)
+    coms, com_velocities = jnp.asarray(rounded(coms)), jnp.asarray(rounded(com_velocities))
     own = cone if isinstance(cone, ConeRays) and cone.batched else None
     states = States(coms, com_velocities, own)
     shared = Shared(jnp.asarray(gravity, jnp.result_type(coms, jnp.float32)), None if own else padded_cone(cone))

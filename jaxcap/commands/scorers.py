@@ -20,6 +20,7 @@ from jaxcap.contacts.cone import CentroidalCone, ConeRays, centred, cone_rays
 from jaxcap.contacts.contact_set import ContactSet
 from jaxcap.contacts.conventions import GRAVITY, ArrayLike
 from jaxcap.contacts.projection import ProjectionError
+from jaxcap.contacts.scoring_input import rounded
 from jaxcap.errors import InputError
 from jaxcap.files.bad_rows import BadRows
 from jaxcap.files.contact_columns import CHOICE, MULTIPLE, RowChoices, RowContacts
@@ -313,7 +314,7 @@ def _first(n: int, out: Any) -> Any:
 def _rays(contacts: ContactSet, sides: int) -> ConeRays:
     """`cone_rays`, compiled; the contacts are centred on the host, in double precision."""
     local, origin = centred(contacts)
-    return _compiled_rays(local, sides)._replace(origin=origin)
+    return _compiled_rays(jax.tree.map(rounded, local), sides)._replace(origin=origin)
 
 
 @partial(jax.jit, static_argnames="sides")

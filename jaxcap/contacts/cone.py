@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float
 
 from jaxcap.contacts.contact_set import ContactSet
 from jaxcap.contacts.conventions import SAME_PLACE, SAME_PLACE_ERRORS, FloatArray
-from jaxcap.contacts.friction import wrench_rays
+from jaxcap.contacts.friction import STICKIEST, wrench_rays
 from jaxcap.contacts.projection import ProjectionError, cone_faces
 
 
@@ -128,14 +128,14 @@ def centred(contacts: ContactSet) -> tuple[ContactSet, FloatArray]:
         contacts: one set, or a batch of them.
 
     Returns:
-        Contacts with the centroid at the origin, and where that was, (..., 3) [m].
+        Contacts with the centroid at the origin, their friction as it counts, and where the centroid was, (..., 3) [m].
     """
     points = contacts.points if isinstance(contacts.points, np.ndarray) else jax.lax.stop_gradient(contacts.points)
     xp: Any = np if isinstance(points, np.ndarray) else jnp
     mask = contacts.mask[..., None]
     origin = xp.sum(xp.where(mask, points, 0), axis=-2) / xp.maximum(xp.sum(mask, axis=-2), 1)
     local = contacts.points - origin[..., None, :]
-    return ContactSet.unchecked(local, contacts.frames, contacts.friction, contacts.mask), origin
+    return ContactSet.unchecked(local, contacts.frames, xp.minimum(contacts.friction, STICKIEST), contacts.mask), origin
 
 
 def _same_place(contacts: ContactSet) -> Any:

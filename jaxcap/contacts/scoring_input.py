@@ -8,6 +8,7 @@ from typing import Any
 
 import jax
 import numpy as np
+from jax.typing import DTypeLike
 
 from jaxcap.contacts.cone import CentroidalCone, ConeRays
 from jaxcap.contacts.contact_set import ContactSet
@@ -33,5 +34,18 @@ def relative(cone: CentroidalCone | ConeRays, coms: Any) -> tuple[CentroidalCone
     if coms.dtype.kind not in "iuf":
         return cone, coms
     arms = np.subtract(coms, cone.origin, dtype=np.float64)
-    dtype = coms.dtype if coms.dtype.kind == "f" else np.float64
-    return cone._replace(origin=np.zeros_like(cone.origin)), arms.astype(dtype)
+    return cone._replace(origin=np.zeros_like(cone.origin)), rounded(arms, coms.dtype)
+
+
+def rounded(values: Any, dtype: DTypeLike | None = None) -> Any:
+    """NumPy's numbers in the precision in which JAX will take them; others as they are.
+
+    dtype: that they came in, by default their own. What is beyond the largest number becomes infinite, and the state is
+    marked: JAX's own conversion would warn of it, and crash where warnings are errors.
+    """
+    if not isinstance(values, np.ndarray) or values.dtype.kind != "f":
+        return values
+    given = np.dtype(values.dtype if dtype is None else dtype)
+    taken = jax.dtypes.canonicalize_dtype(given if given.kind == "f" else np.float64)
+    with np.errstate(over="ignore"):
+        return values.astype(taken, copy=False)

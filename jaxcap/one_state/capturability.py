@@ -6,7 +6,7 @@ from jaxtyping import Array, Num
 
 from jaxcap.contacts.cone import CentroidalCone, ConeRays
 from jaxcap.contacts.conventions import GRAVITY, ArrayLike, checked_gravity
-from jaxcap.contacts.scoring_input import check_cone, relative
+from jaxcap.contacts.scoring_input import check_cone, relative, rounded
 from jaxcap.one_state.decision import capturability_at
 from jaxcap.one_state.line import motion_of_lanes
 from jaxcap.one_state.result import Capturability
@@ -42,7 +42,7 @@ def capturability(
     for name, value in (("com", position), ("com_velocity", velocity)):
         if value.shape != (3,):
             raise TypeError(f"{name} has shape {value.shape} (expected (3,); `score` takes many states)")
-    return capturability_of_lanes(*relative(cone, position), velocity, gravity)
+    return capturability_of_lanes(*relative(cone, position), rounded(velocity), gravity)
 
 
 @jax.jit
