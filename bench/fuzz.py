@@ -13,11 +13,12 @@ to each. Both forms answer every state. Counted are, kind by kind:
                        claim different verdicts
     agreed             states where the forms agree that were judged all the same, one in every tenth set
     wrong faces, rays  claims, of those above, that `bench.fuzz_judge` finds true of no state within rounding of the state
-    unjudged           states where the judge found no answer, or that were more than --judge of their kind
+    unjudged           states where the judge found no answer
+    left               states that were not judged, as they were more than --judge of their kind and sort
     undecided          states that a form does not decide
     refused            contact sets that `centroidal_cone` refuses, and which get no faces
 
-Ends with status 1 if a claim is wrong or unjudged, a projection refused, or more states undecided than 1 in 10^6 in double
+Ends with status 1 if a claim is wrong or not judged, a projection refused, or more states undecided than 1 in 10^6 in double
 and 1 in 10^5 in single precision. An interrupt prints the table so far. --json OUT saves failing states with their contacts,
 at most --keep of each kind and sort.
 """
@@ -48,13 +49,15 @@ FACES = tuple(32 * 4**k for k in range(6))
 RAYS = (32, 64, 128)
 TOGETHER = 32
 """Contact sets whose states are scored by rays in one call."""
+FASTEST = 1e3
+"""Limits above it are as good as infinite [m/s]."""
 CHECKED = 10
 """One agreed state is judged in every so many sets."""
 EVERY = 10.0
 """Seconds between lines of progress."""
 FIELDS = ("capturable", "case", "status", "margin", "min_speed", "max_speed", "paper_margin", "distance", "time")
 COLUMNS = (
-    "states", "sets", "differ", "limits", "agreed", "wrong faces", "wrong rays", "unjudged",
+    "states", "sets", "differ", "limits", "agreed", "wrong faces", "wrong rays", "unjudged", "left",
     "undecided faces", "undecided rays", "refused",
 )  # fmt: skip
 
@@ -110,13 +113,12 @@ def difference(faces: Claims, rays: Claims, speeds: np.ndarray, falls: np.ndarra
         differ = both & (faces.capturable != rays.capturable) & far
         limits = []
         for name in ("max_speed", "min_speed"):
-            one, other = (np.asarray(getattr(form, name), float) for form in (faces, rays))
+            one, other = (np.minimum(getattr(form, name).astype(float), FASTEST) for form in (faces, rays))
             least = np.minimum(one, other)
-            scale = np.maximum(np.where(np.isfinite(least), least, 0), np.maximum(speeds, falls))
+            scale = np.maximum(least, np.maximum(speeds, falls))
             apart = np.abs(one - other) > 2 * band * scale
-            middle = np.where(np.isfinite(one + other), (one + other) / 2, 2 * np.maximum(least, speeds))
             for row in np.flatnonzero(both & ~differ & apart):
-                speed = float(middle[row])
+                speed = float(one[row] + other[row]) / 2
                 if faces.at(row, speed) != rays.at(row, speed):
                     limits.append((int(row), speed))
     return Difference(np.flatnonzero(differ), limits)
@@ -206,8 +208,8 @@ class Report:
     def _judge(self, what: str, sample: Sample, row: int, speed: float | None, faces: Claims, rays: Claims) -> None:
         count = self.counts[sample.kind]
         count[what] += 1
-        if count[what] - (what == "agreed") * count[what] > self.judged:
-            count["unjudged"] += 1
+        if what != "agreed" and count[what] > self.judged:
+            count["left"] += 1
             return
         state = state_of(sample, row, self.dtype, speed)
         said = {"faces": faces.at(row, speed), "rays": rays.at(row, speed)}
@@ -240,7 +242,7 @@ class Report:
         """Whether the goals are missed."""
         total = self.totals()
         most = UNDECIDED[self.dtype] * total["states"]
-        bad = total["wrong faces"] + total["wrong rays"] + total["unjudged"] + total["refused"]
+        bad = total["wrong faces"] + total["wrong rays"] + total["unjudged"] + total["left"] + total["refused"]
         return bad > 0 or total["undecided faces"] > most or total["undecided rays"] > most
 
     def table(self) -> str:

@@ -33,8 +33,10 @@ ULPS = 4
 """So many units in the last place of the coordinates belong to the ball too."""
 RANDOM = 8
 """Random neighbours of each sort."""
-UNKNOWN = 5
-"""Places of a ball without a verdict after which the others are not asked."""
+UNKNOWN = 10
+"""With more places of a ball without a verdict, that a claim holds nowhere else is not known."""
+ENDLESS = 1
+"""Walks of too many pieces after which no other place is asked: each takes seconds."""
 NEWTON = 6
 """Steps towards the surface of a flat cone."""
 SWINGS = 4
@@ -93,10 +95,15 @@ def capturable(state: State) -> bool | None:
 
     Not by its Algorithm 1 as a whole: its QP (16) may not end on flat cones. The static region is two linear programs here.
     """
+    return _verdict(state)[0]
+
+
+def _verdict(state: State) -> tuple[bool | None, bool]:
+    """The same, and whether none was found because the walk has too many pieces, which takes long."""
     try:
-        return _capturable(state)
-    except (ArithmeticError, ValueError, np.linalg.LinAlgError):
-        return None
+        return _capturable(state), False
+    except (ArithmeticError, ValueError, np.linalg.LinAlgError) as error:
+        return None, str(error).startswith("no end")
 
 
 def _capturable(state: State) -> bool | None:
@@ -145,18 +152,16 @@ def true_of_some(state: State, claim: bool) -> bool | None:
 
     A few places without a verdict say nothing: in the next the same linear programs end elsewhere.
     """
-    own = capturable(state)
-    if own == claim:
-        return True
-    unknown = int(own is None)
-    for other in _ball(state):
-        verdict = capturable(other)
+    unknown, endless = 0, 0
+    for one in (state, *_ball(state)):
+        verdict, too_long = _verdict(one)
         if verdict == claim:
             return True
         unknown += verdict is None
-        if unknown > UNKNOWN:  # what has no verdict has taken the longest to find none
+        endless += too_long
+        if endless > ENDLESS:
             return None
-    return None if own is None else False
+    return None if unknown > UNKNOWN else False
 
 
 def _ball(state: State) -> Iterator[State]:

@@ -177,7 +177,7 @@ def test_map_coordinates_lose_nothing(tmp_path):
         assert main(command(tmp_path / f"{name}.npz", tmp_path / f"{name}.json", output, "--baselines")) == 0
         found.append(read_columns(output))
     here, there = found
-    assert here["margin"].dtype == np.float32 and 0 < here["capturable"].sum() < 50
+    assert 0 < here["capturable"].sum() < 50
     np.testing.assert_array_equal(here["capturable"], there["capturable"])
     for name in ("margin", "capture_point_support", "capture_point_hull"):
         np.testing.assert_allclose(here[name], there[name], rtol=0, atol=1e-4, err_msg=name)

@@ -83,7 +83,7 @@ many = jaxcap.rectangle(np.zeros(3), np.eye(3), 0.1, 0.05, 0.5)
 many = jaxcap.ContactSet(many.points + rng.uniform(-1, 1, (n, 4, 3)), np.eye(3), 0.5)
 rays = jaxcap.cone_rays(many)
 keep(name, jaxcap.score(rays, coms, velocities)._asdict())
-out["expected"] = coms[:, 0] + velocities[:, 0] + np.asarray(rays.rays)[:, 5, 3]
+out["expected"] = (coms - rays.origin).astype(np.float32)[:, 0] + velocities[:, 0] + np.asarray(rays.rays)[:, 5, 3]
 np.savez("out.npz", **out, **{f"used.{name}": sorted(pairs) for name, pairs in used.items()})
 """
 

@@ -38,7 +38,7 @@ def samples_of(scenario, indices, outcomes):
     effort = np.ones(len(drawn))
     best = {BEST: outcomes, FOUR: outcomes}
     return Samples(
-        scenario, scenario, "talos", 2018, False, 0.2, names, *states, contacts, effort, best, dict.fromkeys(names, runs), 0
+        scenario, scenario, "talos", 2018, False, names, *states, contacts, effort, best, dict.fromkeys(names, runs), 0
     )
 
 

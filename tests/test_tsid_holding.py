@@ -10,7 +10,7 @@ from reference.tsid.holding import carrying, effort
 from reference.tsid.push import contact_jacobian
 from reference.tsid.robot import load
 from reference.tsid.sampling import draw
-from reference.tsid.simulator import Outcome, Simulator
+from reference.tsid.simulator import DEFAULT, Outcome, Simulator
 from reference.tsid.wrench_cone import wrench_cone
 
 TALOS = load("talos")
@@ -72,7 +72,7 @@ def test_more_friction_never_takes_more():
 
 @pytest.mark.parametrize("index", range(3))
 def test_what_can_be_held_stands_without_a_push_and_what_cannot_falls(index):
-    simulator = Simulator(TALOS, CONFIGURATIONS["standard"])
+    simulator = Simulator(TALOS, CONFIGURATIONS["standard"], DEFAULT._replace(dwell=0.2))  # at rest it has stopped at once
     for scenario, at, held in (("three", HELD, True), ("four", LOST, False)):
         sample = draw(TALOS, scenario, 2018, at[index])
         assert (effort(TALOS, sample.q, sample.contacts) <= 1) is held

@@ -66,7 +66,7 @@ QUICK: dict[str, tuple[str, ...]] = {
         "test_a_speed_brings_the_verdict",
         "test_velocities_by_components_need_no_heading",
         "test_defaults_lie_around_the_contacts",
-        "test_places_that_are_rounded_are_told",
+        "test_places_that_are_hardly_plausible_are_told",
         "test_options_that_cannot_be_used",
         "test_files_that_cannot_be_used",
         "test_force_overwrites",

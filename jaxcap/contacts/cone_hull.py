@@ -20,8 +20,9 @@ from scipy.spatial import ConvexHull, QhullError
 
 VALID = 1e-10
 """No unit ray may stand out of a unit face by more than this."""
-ROUNDING = 1e-14
-"""A unit ray this close to a unit face lies in it: rays have errors of this size."""
+ROUNDING = 1e-15
+"""A unit ray this close to a unit face lies in it, and unit rays this close are one: they have errors of this size. Where a
+cone is as thin as 1e-11, more would be a part of it."""
 SAME_FACE = 1e-10
 """A face whose simplices are this close to another one, relative to its depth, is not needed."""
 FLAT = 1e-4
@@ -150,8 +151,7 @@ def _refined(
 ) -> Float[np.ndarray, "m d"]:
     """The hints, moved onto the rays of their simplices by Newton's method; as they were where that makes them worse."""
     n, dimension = rays.shape
-    touches = np.zeros((len(hints), n))
-    touches[owner[:, None], corners] = 1
+    touches = _touches((len(hints), n), corners, owner).astype(float)
     squares = (touches @ (rays[:, :, None] * rays[:, None]).reshape(n, -1)).reshape(-1, dimension, dimension)
     faces = hints
     for _ in range(REFINEMENTS):
@@ -227,27 +227,39 @@ def _needed(
     volumes: Float[np.ndarray, " s"],
 ) -> tuple[Int[np.ndarray, " k"], Int[np.ndarray, " s"]]:
     """Numbers of the faces without those that rounding has made of others, and which of these each simplex lies on."""
-    instead = np.arange(len(faces))
-    touches = np.zeros(behind.shape, np.float32)
-    touches[owner[:, None], corners] = 1
     off = (behind > SAME_FACE).astype(np.float32)
-    # Nearly equal rows may still be two faces: of a cone that is thin where they differ.
+    # Nearly equal rows are met one after another. They may still be two faces: of a cone that is thin where they differ.
     key = faces @ KEY[: faces.shape[1]]
     order = np.argsort(key)
-    close = np.diff(key[order]) < SAME_FACE
-    one, other = order[:-1][close], order[1:][close]
-    same = (touches[other] * off[one]).sum(axis=1) == 0
-    instead[other[same]] = one[same]
+    starts = np.diff(key[order], prepend=-np.inf) > SAME_FACE
+    first = np.empty_like(order)
+    first[order] = order[starts][np.cumsum(starts) - 1]
+    repeats = np.flatnonzero(first != np.arange(len(faces)))
+    same = (_touches(behind.shape, corners, owner)[repeats] * off[first[repeats]]).sum(axis=1) == 0
+    instead = np.arange(len(faces))
+    instead[repeats[same]] = first[repeats[same]]
+    owner = instead[owner]
+    # A face whose simplices are all flat may be one that rounding has made, between faces that are there without it.
     largest = np.zeros(len(faces))
     np.maximum.at(largest, owner, volumes)
-    flat, proper = np.flatnonzero(largest < FLAT * largest.max()), np.flatnonzero(largest >= FLAT * largest.max())
+    flat = np.flatnonzero((largest > 0) & (largest < FLAT * largest.max()))
+    proper = np.flatnonzero(largest >= FLAT * largest.max())
     if len(flat):
-        missed = touches[flat] @ off[proper].T
+        missed = _touches(behind.shape, corners, owner)[flat] @ off[proper].T
         found = missed.min(axis=1) == 0
+        instead = np.arange(len(faces))
         instead[flat[found]] = proper[missed.argmin(axis=1)[found]]
-    for _ in range(3):  # a face that stands in for another may have been replaced itself
-        instead = instead[instead]
-    return np.unique(instead[owner], return_inverse=True)
+        owner = instead[owner]
+    return np.unique(owner, return_inverse=True)
+
+
+def _touches(
+    shape: tuple[int, ...], corners: Int[np.ndarray, "s c"], owner: Int[np.ndarray, " s"]
+) -> Float[np.ndarray, "m n"]:
+    """Which rays are corners of the simplices on each face: 1, else 0; in single precision, for products of it are sums."""
+    touches = np.zeros(shape, np.float32)
+    touches[owner[:, None], corners] = 1
+    return touches
 
 
 def _excess(behind: Float[np.ndarray, "m n"], corners: Int[np.ndarray, "s c"], owner: Int[np.ndarray, " s"]) -> float:

@@ -11,6 +11,8 @@ import numpy as np
 from jaxtyping import Float
 from scipy.optimize import nnls
 
+from jaxcap.contacts import rationals
+
 RANK = 1e-11
 """Singular values below this times the largest are zero. Rays have unit length."""
 CLEAR = 1e-3
@@ -78,16 +80,16 @@ def parts(rays: Float[np.ndarray, "n d"], span: Float[np.ndarray, "s d"], opposi
         lines, pointed = _fitted(rays, span, pointed)
 
 
-def distance_of_parts(rays: Float[np.ndarray, "n d"], found: Parts) -> float:
+def distance_of_parts(rays: Float[np.ndarray, "n d"], found: Parts, enough: float) -> float:
     """How far the lines, and what they leave of rays that are nearly along them, are from the cone of the rays, about.
 
     It is the check of the parts. What is left of a ray is the ray less its part along the lines, which is in the cone if
-    they are; but where little is left, an error of the lines is large beside it. What rounding makes of large weights counts
-    too: a line that only weights of 1e9 can hold is known to 1e-7.
+    they are; but where little is left, an error of the lines is large beside it.
 
     Args:
         rays: of unit length.
         found: from `parts`.
+        enough: distances up to this need not be known more exactly.
 
     Returns:
         The largest distance of a unit vector.
@@ -104,10 +106,17 @@ def distance_of_parts(rays: Float[np.ndarray, "n d"], found: Parts) -> float:
             (rest[faint] / sizes[faint, None]) @ found.pointed,
         ]
     )
-    return max(_distance(rays, target) for target in targets)
+    farthest = 0.0
+    for target in targets:
+        distance = _distance(rays, target)
+        farthest = max(farthest, distance if distance <= enough else min(distance, rationals.distance(rays, target)))
+        if farthest > enough:
+            break
+    return farthest
 
 
 def _distance(rays: Float[np.ndarray, "n d"], target: Float[np.ndarray, " d"]) -> float:
+    """Of a unit vector from the cone, with what rounding makes of large weights."""
     try:
         weights, _ = nnls(rays.T, target)
     except RuntimeError:  # too many iterations
@@ -123,17 +132,15 @@ def _fitted(
     Faint directions were found from short remainders of rays, so to few digits; other rays lie along them with all of their
     length.
     """
+    _, lines = split(pointed, span, 0.5)
     near = np.linalg.norm(rays @ pointed.T, axis=1) < NEAR
     inside = rays[near] @ span.T
     padded = np.concatenate([inside, np.zeros((max(0, len(span) - len(inside)), len(span)))])
     _, sizes, axes = np.linalg.svd(padded, full_matrices=False)
-    if len(pointed) == len(span):
-        return span[:0], pointed
-    rank = len(span) - len(pointed)
-    if len(pointed) and sizes[rank] > CLEAR * sizes[rank - 1]:  # the rays near it are not of one such space
-        _, lines = split(pointed, span, 0.5)
-        return lines, pointed
-    return axes[:rank] @ span, axes[rank:] @ span
+    rank = len(lines)
+    # Only where these rays span as many dimensions, and all of them clearly, do they say where the lines are.
+    clear = 0 < rank < len(span) and sizes[rank - 1] > CLEAR * sizes[0] and sizes[rank] < CLEAR * sizes[rank - 1]
+    return (axes[:rank] @ span, axes[rank:] @ span) if clear else (lines, pointed)
 
 
 def _shortest(rays: Float[np.ndarray, "n d"]) -> Float[np.ndarray, " n"]:

@@ -87,7 +87,7 @@ def _attempts(rays: Float[np.ndarray, "n d"]) -> Iterator[CheckedFaces | Project
 def _faces(rays: Float[np.ndarray, "n d"], span: Float[np.ndarray, "s d"], attempt: Attempt, options: str) -> CheckedFaces:
     """Faces of the cone in its span."""
     found = parts(rays, span, *attempt)
-    distance = distance_of_parts(rays, found)
+    distance = distance_of_parts(rays, found, ACCEPTED)
     if distance > ACCEPTED:
         raise ProjectionError(f"a line is {distance:.1e} from the cone (at most {ACCEPTED:.0e})")
     if len(found.pointed) == 0:

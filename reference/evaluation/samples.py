@@ -21,11 +21,11 @@ FOUR = "best of 4"
 ABLATIONS = "standard straight no_torque no_position no_position_torque no_position_velocity no_limits"
 
 FILES = {
-    "two_coplanar": "--samples 40000",
-    "two": "--samples 40000",
-    "three": "--samples 40000",
-    "four": "--samples 40000",
-    "four_strong": "--samples 40000",
+    "two_coplanar": "--samples 10000",
+    "two": "--samples 10000",
+    "three": "--samples 10000",
+    "four": "--samples 10000",
+    "four_strong": "--samples 10000",
     "two_ablations": f"--samples 2000 --all --controllers {ABLATIONS}",
     "three_ablations": f"--samples 2000 --all --controllers {ABLATIONS}",
     "two_zero_momentum": "--samples 2000 --all --zero-momentum --controllers standard constant_momentum",
