@@ -8,7 +8,8 @@ travel turned by `radius`, speed changed by `band * speed`. radius is 1e-9 in do
 and 1e-3.
 
 The ball is searched: the state itself; every axis of CoM and velocity; random places in it; and, as the cone of rails, poles
-and points is flat and the states that it carries are a surface of no thickness, the nearest state of that surface. Contacts
+and points is flat and the states that it carries are a surface of no thickness, the nearest state of that surface. What a
+flat cone forbids next to that surface is less than a solver's tolerance: there the equations themselves are asked. Contacts
 are taken as the exact numbers that they are after rounding to the dtype. Lengths are measured in `size` and times in
 sqrt(size): the tolerances of the solvers are then relative, whatever the width of the stance.
 """
@@ -43,6 +44,8 @@ SWINGS = 4
 """Passes back and forth that are followed in C3.3."""
 NO_BRAKE = 1e-7
 """A mean deceleration below this is none but the solver's tolerance [m/s^2]: no robot stops 10^8 sizes away."""
+FLAT = 1e-13
+"""A cone that has no more extent than this has none, and a term of its equations that is no larger is zero [-]."""
 SAME_PLACE = 1e-9
 """Two places closer than this are one [size]."""
 
@@ -108,6 +111,8 @@ def _verdict(state: State) -> tuple[bool | None, bool]:
 
 def _capturable(state: State) -> bool | None:
     com, speed, direction, wrenches = state.com, state.speed, state.direction, state.wrenches
+    if _never_brakes(state):
+        return False
     walk = brake(com, speed, direction, wrenches)
     if walk.stop != "C3" or speed**2 < 2 * NO_BRAKE * walk.alpha:
         return False
@@ -129,6 +134,24 @@ def _capturable(state: State) -> bool | None:
             return False
         alpha += heading * back.alpha
     return True  # every swing is smaller than the one before
+
+
+def _never_brakes(state: State) -> bool:
+    """Whether the equations of a flat cone alone say that the CoM can not go on along its line, or not slow down on it.
+
+    In the directions in which the cone has no extent, per_acc * acceleration + per_alpha * alpha + constant = 0.
+    """
+    left, values, _ = np.linalg.svd(state.wrenches.rays)
+    extents = np.append(values, np.zeros(6 - len(values)))
+    null = left[:, extents <= FLAT * extents[0]].T
+    per_acc, constant, per_alpha = (null @ term for term in line_terms(state.com, state.direction, state.wrenches))
+    size = np.linalg.norm(per_acc)
+    if size <= 100 * FLAT:
+        return bool(max(np.linalg.norm(per_alpha), np.linalg.norm(constant)) > 100 * FLAT)
+    unit = per_acc / size
+    across = [np.linalg.norm(term - unit * (unit @ term)) for term in (constant, per_alpha)]
+    # acceleration = -(unit @ constant + alpha * unit @ per_alpha) / size
+    return bool(max(across) > FLAT or max(unit @ constant, unit @ per_alpha) <= FLAT)
 
 
 def static_region(com, direction, wrenches: Wrenches) -> tuple[float, float] | None:
