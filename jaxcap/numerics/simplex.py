@@ -186,9 +186,14 @@ def freed(program: Program, basis: Basis) -> Basis:
 
 
 def factorised(program: Program, index: Int[Array, "6 *n"]) -> Basis:
-    """The basis of these columns, by Gauss-Jordan elimination; a column that depends on the others stays out."""
+    """The basis of these columns, by Gauss-Jordan elimination; a ray that depends on the others stays out.
+
+    The free variable comes first: a ray that is left out can come in again, it can not.
+    """
     bound = tolerances(program.target.dtype).pivot
     basis = identity(index.shape[1:], program.target.dtype)
+    free = index == FREE
+    index = jnp.concatenate([jnp.where(free.any(axis=0), FREE, index[0])[None], jnp.where(free, index[0], index)[1:]])
     matrix = columns(program, index)
     for k in range(6):
         direction = times(basis.inverse, matrix[:, k])
@@ -241,6 +246,8 @@ class SimplexState(NamedTuple):
     flat: Bool[Array, "*n"]
     """No ray takes over from the unit columns that are left: their weights may be as large as the slack."""
     steps: Int[Array, ""]
+    again: Bool[Array, "*n"]
+    """A fall without end has been asked for once more."""
     checked: Bool[Array, ""]
     """All have come to an end with inverses that are to be trusted."""
 
@@ -253,7 +260,7 @@ def solve(program: Program, basis: Basis, active: Bool[Array, "*n"]) -> Solution
     """
     outcome = jnp.full(active.shape, Outcome.UNDECIDED, jnp.int32)
     solution = Solution(basis, outcome, jnp.zeros(active.shape, jnp.int32))
-    start = SimplexState(solution, active, ~active, jnp.int32(0), jnp.zeros((), bool))
+    start = SimplexState(solution, active, ~active, jnp.int32(0), ~active, jnp.zeros((), bool))
 
     def one(state: SimplexState) -> SimplexState:
         return jax.lax.cond(jnp.any(state.running), lambda: _step(program, state), lambda: _checked(program, state))
@@ -263,21 +270,27 @@ def solve(program: Program, basis: Basis, active: Bool[Array, "*n"]) -> Solution
 
 
 def _checked(program: Program, state: SimplexState) -> SimplexState:
-    """Where pivots have spoilt an inverse beyond repair, its end was none: from a new one the search goes on, once."""
+    """Where pivots have spoilt an inverse beyond repair, its end was none: from a new one the search goes on, once.
+
+    So it does, with a better inverse, where z falls without end: errors of the inverse may look like a way to fall.
+    """
     solution = state.solution
     better, error = _newton(program, solution.basis)
     worn = (error > _SPOILT[jnp.finfo(error.dtype).bits]) & (solution.outcome != Outcome.UNDECIDED)
+    endless = (solution.outcome == Outcome.UNBOUNDED) & ~state.again
 
     def anew():
         return jax.tree.map(lambda new, old: jnp.where(worn, new, old), factorised(program, solution.basis.chosen), better)
 
     basis = jax.lax.cond(jnp.any(worn), anew, lambda: better)
-    return state._replace(solution=solution._replace(basis=basis), running=worn, checked=~jnp.any(worn))
+    running = worn | endless
+    again = state.again | endless
+    return state._replace(solution=solution._replace(basis=basis), running=running, again=again, checked=~jnp.any(running))
 
 
 def _step(program: Program, state: SimplexState) -> SimplexState:
     """One pivot, or the end."""
-    (basis, outcome, pivots), running, flat, steps, checked = state
+    (basis, outcome, pivots), running, flat, steps, again, checked = state
     late = steps >= BLAND
     weights = times(basis.inverse, program.target)
     zero = _zero(program, basis, weights, steps)
@@ -298,7 +311,7 @@ def _step(program: Program, state: SimplexState) -> SimplexState:
     outcome = jnp.where(improves & ~gives_way, endless, outcome)
     basis = pivot(basis, leaving, entering, direction, go)
     solution = Solution(basis, outcome.astype(jnp.int32), pivots + go)
-    return SimplexState(solution, go | flattens, flat | flattens, steps + 1, checked)
+    return SimplexState(solution, go | flattens, flat | flattens, steps + 1, again, checked)
 
 
 class Held(NamedTuple):
