@@ -238,7 +238,7 @@ def _search(
     floorless = walked & ((found.outcome == Outcome.UNBOUNDED) | ~jnp.any(free, axis=0))
     lost = walked & ((found.outcome == Outcome.UNDECIDED) | (found.outcome == Outcome.INFEASIBLE))
     wall = jax.lax.cond(jnp.any(floorless), _wall, lambda polygon, _: jnp.full_like(limit, jnp.inf), polygon, floorless)
-    follow = lambda alpha, line, basis: _follow(polygon, alpha, line, basis)
+    follow = lambda alpha, line, basis: _follow(polygon, alpha, basis)
     first = _line(polygon, found.basis)
     limit = jnp.where(lost, 0, limit)
     boundary, marks = walk(follow, first, found.basis, floorless, wall, limit, rising, most, enough, mark)
@@ -271,7 +271,7 @@ def _wall(polygon: RayPolygon, floorless: Bool[Array, "*n"]) -> Float[Array, "*n
     return jnp.where(bounded, -_place(polygon._replace(rays=rays), 1, found.basis), jnp.inf)
 
 
-def _follow(polygon: RayPolygon, alpha: Array, line: Affine, basis: Basis) -> Next:
+def _follow(polygon: RayPolygon, alpha: Array, basis: Basis) -> Next:
     """Where the first weight of the basis comes to zero, and the basis with the ray that takes over."""
     end, leaving, grows = _end(polygon, basis)
     bounds = tolerances(polygon.fall.dtype)
@@ -287,19 +287,7 @@ def _follow(polygon: RayPolygon, alpha: Array, line: Affine, basis: Basis) -> Ne
     entering, leaves = simplex.first_of(turn, first), first == -jnp.inf
     direction = simplex.times(basis.inverse, simplex.ray(polygon.rays, entering))
     following = simplex.pivot(basis, leaving, entering, direction, ~leaves & (end < jnp.inf))
-    after = _line(polygon, following)
-    return Next(jnp.where(leaves | (end == jnp.inf), end, _knot(polygon, alpha, line, after)), leaves, after, following)
-
-
-def _knot(polygon: RayPolygon, alpha: Array, line: Affine, after: Affine) -> Float[Array, "*n"]:
-    """Where two lines cross, of which one follows the other; one line with two bases gives way to itself at once.
-
-    Not where the weight of the column that leaves is zero: in a basis next to singular that is anywhere.
-    """
-    steeper = after.slope - line.slope
-    noise = polygon.line.slack * (polygon.steepest + jnp.abs(line.slope) + jnp.abs(after.slope))
-    apart = steeper > noise
-    return jnp.where(apart, (line.intercept - after.intercept) / jnp.where(apart, steeper, 1), alpha)
+    return Next(end, leaves, _line(polygon, following), following)
 
 
 class LineEnd(NamedTuple):

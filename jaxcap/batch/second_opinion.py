@@ -1,0 +1,82 @@
+"""States that rays leave undecided are asked again by faces, in double precision on the host: somebody wants to know.
+
+They are few, and a projection takes milliseconds. Faces settle them by other numbers: they choose no bases, so none can tie.
+"""
+
+from functools import cache
+from typing import NamedTuple
+
+import jax
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxcap.batch.blocks import ROWS
+from jaxcap.contacts.cone import CentroidalCone, ConeRays
+from jaxcap.contacts.conventions import ArrayLike
+from jaxcap.contacts.projection import ProjectionError, cone_faces
+from jaxcap.one_state.capturability import capturability
+from jaxcap.one_state.result import Capturability, Status
+
+MOST = 1000
+"""No more states of a call are asked again: so many are no accident, and would take minutes."""
+
+
+class _State(NamedTuple):
+    """One state with its own contacts."""
+
+    cone: CentroidalCone
+    com: Float[np.ndarray, "3"]
+    com_velocity: Float[np.ndarray, "3"]
+
+
+def decided(
+    cone: ConeRays, coms: Array, com_velocities: Array, gravity: ArrayLike, found: Capturability
+) -> Capturability:
+    """The answers, those that are missing from faces; what faces do not decide either stays undecided.
+
+    Args:
+        cone: of all states, or of each.
+        coms: (n, 3) [m], relative to the cone's frame.
+        com_velocities: (n, 3) [m/s].
+        gravity: (3,) [m/s^2].
+        found: by rays, (n,).
+    """
+    rows = np.flatnonzero(np.asarray(found.status) == Status.MAX_STEPS)
+    if len(rows) == 0:
+        return found
+    fields = [np.array(field) for field in found]
+    on_the_host = jax.default_device(jax.local_devices(backend="cpu")[0])
+    with jax.enable_x64(True), on_the_host, np.errstate(over="ignore"):
+        gravity = np.asarray(gravity, float)
+        for row in rows[:MOST]:
+            state = _state(cone, coms, com_velocities, int(row))
+            if state is None:
+                continue
+            for field, value in zip(fields, _compiled()(*state, gravity), strict=True):
+                field[row] = value
+    return Capturability(*map(jax.numpy.asarray, fields))
+
+
+def _state(cone: ConeRays, coms: Array, com_velocities: Array, row: int) -> _State | None:
+    """None where the rays have no faces."""
+    rays, origin, length = (
+        np.asarray(field[row] if cone.batched else field, float) for field in (cone.rays, cone.origin, cone.length)
+    )
+    scale = np.array([1, 1, 1, length, length, length])
+    try:
+        faces = cone_faces(rays / scale) / scale
+    except ProjectionError:
+        return None
+    size = ROWS
+    while size < len(faces):
+        size *= 4  # few sizes: each is compiled
+    return _State(
+        CentroidalCone(faces, origin, length).padded(size),
+        np.asarray(coms[row], float),
+        np.asarray(com_velocities[row], float),
+    )
+
+
+@cache
+def _compiled():
+    return jax.jit(capturability)
