@@ -20,21 +20,27 @@ run() {
         --jobs "$jobs" "$@"
 }
 
+# others SAMPLES: the same scenarios with arms as strong as HRP-2's, and another robot
+others() {
+    for scenario in three four; do
+        run "${scenario}_strong_arms" "$scenario" "$1" --robot talos_strong_arms --states 1000
+    done
+    for scenario in two_coplanar two; do
+        run "${scenario}_g1" "$scenario" "$1" --robot g1 --states 1000
+    done
+}
+
 limits="standard straight no_torque no_position no_position_torque no_position_velocity no_limits"
 for samples in 1000 10000 40000; do
     for scenario in three four two two_coplanar four_strong; do
         run "$scenario" "$scenario" "$samples"
     done
+    if ((samples == 1000)); then others 1000; fi
     if ((samples == 10000)); then
         for scenario in three two; do
             run "${scenario}_ablations" "$scenario" 2000 --all --controllers $limits
             run "${scenario}_zero_momentum" "$scenario" 2000 --all --zero-momentum --controllers standard constant_momentum
         done
-        for scenario in three four; do
-            run "${scenario}_strong_arms" "$scenario" 5000 --robot talos_strong_arms --states 1000
-        done
-        for scenario in two_coplanar two; do
-            run "${scenario}_g1" "$scenario" 5000 --robot g1 --states 1000
-        done
+        others 5000
     fi
 done

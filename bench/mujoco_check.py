@@ -1,27 +1,36 @@
 """Would another engine say the same? Labels of the campaign, run again in MuJoCo.
 
-    python -m bench.mujoco_check [--samples N] [--scenarios ...] [--jobs J]    # --samples 200 for a table worth quoting
+    python -m bench.mujoco_check [--samples N] [--scenarios ...] [--folder DIR]    # --samples 200 for a table worth quoting
 
 The first N stops and the first N falls (best of four) of each file in --data. The MuJoCo model is made from Pinocchio's:
 bodies, inertias and hinges are copied, nothing is read from a URDF twice. Contacts are unilateral: a sphere of 1 mm at each
 corner of a contact's rectangle against the plane on which it lies, with MuJoCo's elliptic friction cone, which holds the
-controller's pyramid. Torques are the controller's, and a spring and a damper at every joint that pull MuJoCo's state to the
-controller's own, as torque-controlled robots do it, by at most FEEDBACK of the limits. A stop is run under the controller
-that stopped it, a fall under each of those that ran, until one stops. Where the controller stops, or its QP has no solution,
-its last torques and the springs to its last posture carry on: whether the robot then stands or falls is for MuJoCo to say.
+controller's pyramid. A stop is run under the controller that stopped it, a fall under each of those that ran; each of them
+twice, until MuJoCo's robot stops:
+
+    followed    the torques of our run, and a spring and a damper at every joint that pull to where our run has it, by at
+                most SPRINGS of the limits, as torque-controlled robots do it. Where our run ends, the last torques and the
+                springs to the last posture carry on
+    closed      the controller's QP at the state in MuJoCo, every step, and dampers to the velocities that it asks for, by at
+                most DAMPERS of the limits. It asks of the CoM at most -CLOSED times its velocity, where ours has -1/dt: a
+                contact that yields does not bear that. Without a solution the last torques carry on
 
     stopped     |v| stays below --slow for DWELL
     fallen      a contact is farther than 0.1 m from its place
     undecided   neither within the time limit
 
 Two lines a file, for all postures and for those that can be held: of the stops, how many MuJoCo keeps up, lets fall, leaves
-undecided; of the falls, likewise. Then a line for each disagreement: when it was decided, and what the QP had said.
+undecided; of the falls, likewise. Then a line for each disagreement, of the last run: when it was decided, how long the QP
+had commands, and which joint was the first to be LOST away from the posture that is followed, if one was. Runs are kept in
+--folder as they come, so that the same command resumes.
 Extras sim and evaluation; mujoco by itself: pip install "mujoco>=3.2".
 """
 
 from __future__ import annotations
 
 import argparse
+import json
+import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable
@@ -35,9 +44,11 @@ import pinocchio as pin
 
 from reference.evaluation.replay import sample_of
 from reference.evaluation.samples import FOUR, Samples, read
-from reference.tsid.controller import CONFIGURATIONS
+from reference.tsid.certificate import CertifiedSolver
+from reference.tsid.controller import CONFIGURATIONS, Controller
 from reference.tsid.robot import Robot, Sample, load
 from reference.tsid.simulator import DEFAULT, Simulator
+from reference.tsid.solvers import Status
 from reference.tsid.workers import Died, answers
 from reference.tsid.wrench_cone import corner_points
 
@@ -52,26 +63,34 @@ SUBSTEPS = 4
 STIFFNESS, DAMPING = 40000.0, 400.0
 """Of the joints' errors [1/s^2, 1/s], times what the joints' inertia is where the base is free: contacts only add to it, so
 that this is stable at the controller's step, which the inertia at a fixed base is not."""
-FEEDBACK = 0.5
-"""What springs and dampers may add, in torque limits [-]: torques at a limit would leave them no say."""
+SPRINGS = 0.5
+"""What springs and dampers may add to torques that are followed, in torque limits [-]: at a limit they would have no say."""
+CLOSED, DAMPERS, FRICTION = 20.0, 0.3, 100.0
+"""In the closed loop: gain of the CoM [1/s], share of the torque limits and gain [1/s] of the dampers."""
 DWELL = 0.2
 """For how long MuJoCo's robot has to be slow [s]."""
 AGAIN = 10
 """Steps after which the inertia is computed again."""
+LOST = 0.1
+"""How far from where the controller has it a joint no longer does as told [rad]."""
 
 
 class Ending(NamedTuple):
     """How a run in MuJoCo ended."""
 
     outcome: str
+    how: str
+    """`followed` or `closed`, and the controller."""
     time: float
     """[s]"""
     commanded: float
-    """How long the controller had a command [s]."""
+    """How long our run had a command [s]; of the closed loop, for how much of the time it had one."""
     moved: float
     """Of the contact that is farthest from its place [m]."""
     speed: float
     """Norm of v."""
+    lost: str
+    """The first joint that was LOST while there were commands, and when; empty: none."""
 
 
 def document(robot: Robot, sample: Sample, dt: float) -> str:
@@ -181,28 +200,75 @@ def free_inertia(robot: Robot, q: np.ndarray) -> np.ndarray:
     return mass[6:, 6:] - mass[6:, :6] @ np.linalg.solve(mass[:6, :6], mass[:6, 6:])
 
 
-def run(robot: Robot, sample: Sample, controller: str, slow: float) -> Ending:
-    """A sample in MuJoCo under a controller of ours. slow: |v| below which it has stopped."""
+class Watch:
+    """Ends a run in MuJoCo."""
+
+    def __init__(self, engine: Engine, slow: float):
+        self.engine, self.slow, self.moving, self.step = engine, slow, 0, -1
+
+    def look(self) -> tuple[np.ndarray, np.ndarray, str]:
+        """At the next step: q, v, and an outcome or nothing."""
+        self.step += 1
+        q, v = self.engine.state()
+        if self.step % AGAIN == 0:
+            self.moved, self.inertia = self.engine.moved(q), free_inertia(self.engine.robot, q)
+        self.speed = float(np.linalg.norm(v))
+        self.moving = self.step if not self.speed < self.slow else self.moving
+        if (self.step - self.moving) * DEFAULT.dt >= DWELL:
+            return q, v, "stopped"
+        if self.moved > DEFAULT.slip or not np.isfinite(self.speed):
+            return q, v, "fallen"
+        return q, v, "undecided" if self.step * DEFAULT.dt >= DEFAULT.time_limit + DWELL else ""
+
+
+def followed(robot: Robot, sample: Sample, controller: str, slow: float) -> Ending:
+    """The torques of our run in MuJoCo. slow: |v| below which it has stopped."""
     trace = Simulator(robot, CONFIGURATIONS[controller]).run(sample, trace=True).trace
-    dt, engine, moving = DEFAULT.dt, Engine(robot, sample, DEFAULT.dt), 0
+    watch, lost = Watch(Engine(robot, sample, DEFAULT.dt), slow), ""
     last = len(trace.t) - 1  # the state that ends the run has no command
-    for step in range(round((DEFAULT.time_limit + DWELL) / dt) + 1):
-        q, v = engine.state()
-        if step % AGAIN == 0:
-            moved, inertia = engine.moved(q), free_inertia(robot, q)
-        speed = float(np.linalg.norm(v))
-        moving = step if not speed < slow else moving
-        outcome = "fallen" if moved > DEFAULT.slip or not np.isfinite(speed) else None
-        if (step - moving) * dt >= DWELL:
-            outcome = "stopped"
+    while True:
+        q, v, outcome = watch.look()
+        step = watch.step
         if outcome:
-            return Ending(outcome, step * dt, last * dt, moved, speed)
+            how = f"followed {controller}"
+            return Ending(outcome, how, step * DEFAULT.dt, last * DEFAULT.dt, watch.moved, watch.speed, lost)
         torque = trace.tau[min(step, last - 1)] if last else np.zeros(len(robot.torque))
         wanted = trace.v[step, 6:] if step < last else 0.0
-        errors = STIFFNESS * (trace.q[min(step, last), 7:] - q[7:]) + DAMPING * (wanted - v[6:])
-        feedback = np.clip(inertia @ errors, -FEEDBACK * robot.torque, FEEDBACK * robot.torque)
-        engine.step(torque + feedback)
-    return Ending("undecided", step * dt, last * dt, engine.moved(q), speed)
+        away = trace.q[min(step, last), 7:] - q[7:]
+        if not lost and step < last and np.abs(away).max() > LOST:
+            lost = f"{robot.model.names[2 + int(np.abs(away).argmax())]} at {step * DEFAULT.dt:.2f} s"
+        errors = STIFFNESS * away + DAMPING * (wanted - v[6:])
+        watch.engine.step(torque + np.clip(watch.inertia @ errors, -SPRINGS * robot.torque, SPRINGS * robot.torque))
+
+
+def closed(robot: Robot, sample: Sample, controller: str, slow: float) -> Ending:
+    """The controller on MuJoCo's state, as `followed`."""
+    configuration = CONFIGURATIONS[controller]
+    gain = min(CLOSED, configuration.com_gain or CLOSED)
+    own = Controller(robot, configuration._replace(com_gain=gain), sample, DEFAULT.dt, DEFAULT.stabilisation)
+    solver, watch = CertifiedSolver(DEFAULT.solver), Watch(Engine(robot, sample, DEFAULT.dt), slow)
+    torque, solved = np.zeros(len(robot.torque)), 0
+    while True:
+        q, v, outcome = watch.look()
+        if outcome:
+            times = watch.step * DEFAULT.dt, solved * DEFAULT.dt
+            return Ending(outcome, f"closed {controller}", *times, watch.moved, watch.speed, "")
+        answer, wanted = solver.solve(own.problem_at(q, v)), np.zeros(len(v))
+        if answer.status == Status.OPTIMAL:
+            command = own.command(answer.y)
+            torque, wanted, solved = command.torque, v + DEFAULT.dt * command.acceleration, solved + 1
+        errors = FRICTION * (wanted - v)[6:]
+        watch.engine.step(torque + np.clip(watch.inertia @ errors, -DAMPERS * robot.torque, DAMPERS * robot.torque))
+
+
+def run(robot: Robot, sample: Sample, controllers: tuple[str, ...], slow: float) -> Ending:
+    """The first way in which the robot stops, else the last."""
+    for controller in controllers:
+        for way in (followed, closed):
+            ending = way(robot, sample, controller, slow)
+            if ending.outcome == "stopped":
+                return ending
+    return ending
 
 
 class Case(NamedTuple):
@@ -230,25 +296,37 @@ def _runner(path: Path, chosen: list[Case], slow: float) -> Callable[[int], Endi
 
     def one(number: int) -> Ending:
         case = chosen[number]
-        sample = sample_of(samples, case.row, robot)
-        for controller in case.controllers:
-            ending = run(robot, sample, controller, slow)
-            if ending.outcome == "stopped":
-                break
-        return ending
+        return run(robot, sample_of(samples, case.row, robot), case.controllers, slow)
 
     return one
 
 
-def check(path: Path, number: int, slow: float, jobs: int) -> list[str]:
+class Kept:
+    """Endings of one file's samples, by row, in a file that is written whole with each of them."""
+
+    def __init__(self, path: Path):
+        self.path = path
+        found = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
+        self.endings = {int(row): Ending(*values) for row, values in found.items()}
+
+    def add(self, row: int, ending: Ending) -> None:
+        self.endings[row] = ending
+        half = self.path.with_suffix(".part")
+        half.write_text(json.dumps(self.endings), encoding="utf-8")
+        half.replace(self.path)
+
+
+def check(path: Path, options: argparse.Namespace) -> list[str]:
     """Lines about one file: its counts, then its disagreements."""
     samples = read(path)
-    chosen = cases(samples, number)
-    endings: dict[int, Ending] = {}
-    for index, ending in answers(_runner, (path, chosen, slow), range(len(chosen)), jobs):
+    chosen = cases(samples, options.samples)
+    kept = Kept(options.folder / f"{samples.name}.json")
+    missing = [index for index, case in enumerate(chosen) if case.row not in kept.endings]
+    for index, ending in answers(_runner, (path, chosen, options.slow), missing, options.jobs):
         if isinstance(ending, Died):
             raise ArithmeticError(f"{samples.name}, sample {chosen[index].row}: {ending}")
-        endings[index] = ending
+        kept.add(chosen[index].row, ending)
+    endings = [kept.endings[case.row] for case in chosen]
     lines = []
     for postures, most in (("all", np.inf), ("can be held", 1.0)):
         cells = []
@@ -257,16 +335,19 @@ def check(path: Path, number: int, slow: float, jobs: int) -> list[str]:
             counts = Counter(endings[i].outcome for i in held)
             cells.append(f"{len(held):8}" + "".join(f"{counts[word]:10}" for word in ("stopped", "fallen", "undecided")))
         lines.append(f"{samples.name:14}{postures:13}" + " | ".join(cells))
-    for i, case in enumerate(chosen):
-        ending = endings[i]
-        if ending.outcome != case.label:
-            lines.append(
-                f"  {samples.name} {samples.index[case.row]}: {case.label} -> {ending.outcome} at {ending.time:.2f} s, "
-                f"{case.controllers[-1]}, commands for {ending.commanded:.2f} s, contact moved {1e3 * ending.moved:.0f} mm, "
-                f"|v| {ending.speed:.3f}, "
-                f"effort {samples.effort[case.row]:.2f}"
-            )
-    return lines
+    ways = Counter(ending.how.split()[0] for ending in endings if ending.outcome == "stopped")
+    lines.append(f"{'':14}stopped in MuJoCo: {ways['followed']} followed, {ways['closed']} closed")
+    differ = [(case, ending) for case, ending in zip(chosen, endings, strict=True) if ending.outcome != case.label]
+    return lines + [f"  {samples.name} {_told(samples, case, ending)}" for case, ending in differ]
+
+
+def _told(samples: Samples, case: Case, ending: Ending) -> str:
+    """A disagreement in words."""
+    return (
+        f"{samples.index[case.row]}: {case.label} -> {ending.outcome} at {ending.time:.2f} s, {ending.how}, commands for "
+        f"{ending.commanded:.2f} s, contact moved {1e3 * ending.moved:.0f} mm, |v| {ending.speed:.3f}, effort "
+        f"{samples.effort[case.row]:.2f}{', lost: ' * bool(ending.lost)}{ending.lost}"
+    )
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -278,16 +359,20 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--scenarios", nargs="+", default=list(SCENARIOS), metavar="FILE", help="names of files")
     parser.add_argument("--data", type=Path, default=DATA, metavar="FOLDER")
     parser.add_argument("--slow", type=float, default=0.05, help="|v| of a stop: contacts are soft here (default: 0.05)")
+    parser.add_argument("--folder", type=Path, metavar="DIR", help="where runs are kept (default: a temporary folder)")
     parser.add_argument("--jobs", type=int, default=1, metavar="J", help="processes (default: 1)")
     options = parser.parse_args(arguments)
     if options.samples < 1:
         parser.error(f"--samples {options.samples} (expected at least 1)")
     words = "".join(f"{word:>10}" for word in ("stopped", "fallen", "undecided"))
     print(f"mujoco {mujoco.__version__}\n{'file':14}{'postures':13}{'stops':>8}{words} | {'falls':>8}{words}", flush=True)
-    for name in options.scenarios:
-        start = time.perf_counter()
-        print(*check(options.data / f"{name}.parquet", options.samples, options.slow, options.jobs), sep="\n")
-        print(f"  ({time.perf_counter() - start:.0f} s)", flush=True)
+    with tempfile.TemporaryDirectory() as temporary:
+        options.folder = options.folder or Path(temporary)
+        options.folder.mkdir(parents=True, exist_ok=True)
+        for name in options.scenarios:
+            start = time.perf_counter()
+            print(*check(options.data / f"{name}.parquet", options), sep="\n")
+            print(f"  ({time.perf_counter() - start:.0f} s)", flush=True)
 
 
 if __name__ == "__main__":

@@ -164,7 +164,8 @@ COSTS = (
 
 def cost(scenario: str, all_steps: list[Steps]) -> str:
     """A line of the first table: medians over steps, means over samples."""
-    micro = lambda field: 1e6 * median([spent for steps in all_steps for spent in getattr(steps, field)])
+    # Samples that fall at once have no steps.
+    micro = lambda field: 1e6 * median([spent for steps in all_steps for spent in getattr(steps, field)] or [float("nan")])
     terms, solve, rest, assembly, warm, cold = map(micro, Steps._fields[:6])
     tuned, plain = terms + solve + rest, assembly + warm + rest
     sample = float(np.mean([steps.run for steps in all_steps]))

@@ -2,10 +2,11 @@
 
     python -m bench.tsid_picture [-o notebooks/stop_and_fall.png]
 
-Left half: a push after which TALOS came to rest; right half: one after which its controller had no way left. Each has a
-filmstrip (start, middle, end; contacts, friction pyramids at the corners, forces of the contacts) and the CoM's path from
-above: the region in which the CoM can rest on these contacts, the path, and the straight line on which the predictor has it
-stop, where it says so. Needs the extras sim and plots. The samples are those of the campaign with seed 2018.
+Left half: a push after which TALOS came to rest; right half: one after which its controller had no way left. Each has the
+robot at the start (pale) and at the end (dark) with its contacts and their last forces, and the CoM's path from above: the
+region in which the CoM can rest on these contacts, the path, and the straight line on which the predictor has it stop, where
+it says so. Where prediction and outcome differ the panel is framed and says what was missed. As wide as a printed column.
+Needs the extras sim and plots. The samples are those of the campaign with seed 2018.
 """
 
 from __future__ import annotations
@@ -14,16 +15,18 @@ import argparse
 from functools import reduce
 from operator import add
 from pathlib import Path
+from typing import NamedTuple
 
 import jax
 import matplotlib
 import matplotlib.pyplot as plt
 import numpy as np
 import pinocchio as pin
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.patheffects import withStroke
-from matplotlib.ticker import MaxNLocator
 from scipy.optimize import linprog
 from scipy.spatial import ConvexHull
 
@@ -45,15 +48,14 @@ TITLES = {
     "four": "two feet, two hands",
 }
 BLUE, ORANGE, RED = "#0060a0", "#e69f00", "#8b1a00"  # told apart by colour-blind readers, and in grey
-NEAR, FAR, REGION = "#303030", "#909090", "#d9e6f2"
+END, START, REGION = "#202020", "#b0b0b0", "#d9e6f2"
 AZIMUTH, ELEVATION = np.radians([-55, 14])
 """Direction towards the camera [rad]: in front of the robot's right side, above."""
-SPACING = 1.15
-"""Between the frames of a strip [m]."""
-LEFT, RIGHT, LOWEST, HIGHEST = 0.7, 1.05, -0.45, 1.8
-"""What a strip shows to the left of its first feet, to the right of its last, below and above the left ones [m]."""
-PYRAMID = 0.09
-"""Height of the friction pyramids [m]."""
+WIDTH, CELL, SIDE, TITLE, LEGEND = 3.5, 1.3, 0.78, 0.34, 0.62
+"""Of the sheet, for a printed column [in]: its width; heights of a robot's picture, of a path's, of what stands above the
+robot, and of the legend."""
+ACROSS, LOWEST, HIGHEST = 1.46, -0.42, 1.64
+"""What is shown of a robot: width, and from below to above the left sole [m]."""
 HEAD = np.array([0.0, 0.0, 0.13])
 """Of the head's centre in the last joint of the neck [m]."""
 FORCE = 1 / 1800.0
@@ -70,30 +72,18 @@ def seen(points) -> np.ndarray:
     return np.asarray(points) @ np.array([[-sa, ca, 0], [-ca * se, -sa * se, ce]]).T
 
 
-def bones(robot: Robot, q: np.ndarray) -> list[tuple[np.ndarray, bool]]:
-    """Segments (2, 3) [m] from joint to joint and to the effectors, and whether they are of the far side."""
+def bones(robot: Robot, q: np.ndarray) -> list[np.ndarray]:
+    """Segments (2, 3) [m] from joint to joint and to the effectors; the last one goes from the neck to the head."""
     model, data = robot.model, robot.model.createData()
     pin.framesForwardKinematics(model, data, q)
     at = [placement.translation.copy() for placement in data.oMi]
-    far = lambda joint: "left" in model.names[joint]
-    segments = [(np.array([at[model.parents[j]], at[j]]), far(j)) for j in range(2, model.njoints)]
+    segments = [np.array([at[model.parents[j]], at[j]]) for j in range(2, model.njoints)]
     for effector in robot.effectors.values():
         frame = model.frames[effector.frame]
         tip = (data.oMf[effector.frame] * effector.placement).translation
-        segments.append((np.array([at[frame.parentJoint], tip]), far(frame.parentJoint)))
-    return sorted(segments, key=lambda segment: not segment[1])
-
-
-def pyramids(contact: Contact) -> list[np.ndarray]:
-    """Triangles (3, 3) [m] of the friction pyramids at a contact's corners."""
-    slope = contact.friction / np.sqrt(2.0)
-    edges = np.array([[x * slope, y * slope, 1.0] for x, y in ((1, 1), (-1, 1), (-1, -1), (1, -1))]) * PYRAMID
-    edges = edges @ contact.placement.rotation.T
-    return [
-        np.array([corner, corner + edges[i], corner + edges[(i + 1) % 4]])
-        for corner in corner_points(contact)
-        for i in range(4)
-    ]
+        segments.append(np.array([at[frame.parentJoint], tip]))
+    neck = model.getJointId("head_2_joint")
+    return [*segments, np.array([at[neck], data.oMi[neck].act(HEAD)])]
 
 
 def region(contacts: tuple[Contact, ...], around: np.ndarray) -> np.ndarray:
@@ -123,93 +113,107 @@ def prediction(sample: Sample, com, com_velocity) -> jaxcap.Capturability:
     return jaxcap.capturability(jaxcap.centroidal_cone(reduce(add, map(rectangle, sample.contacts))), com, com_velocity)
 
 
-def strip(axes, robot: Robot, sample: Sample, trace: Trace) -> None:
-    """The robot at three times, side by side, to scale."""
-    right = np.array([-np.sin(AZIMUTH), np.cos(AZIMUTH), 0.0])
-    middle = seen([contact.placement.translation for contact in sample.contacts[:2]])[:, 0].mean()
-    last = len(trace.t) - 1
-    for place, step in enumerate((0, last // 2, last)):
-        shift = (place * SPACING - middle) * right
-        for contact in sample.contacts:
-            axes.fill(*seen(corner_points(contact) + shift).T, facecolor=BLUE, edgecolor="black", linewidth=0.8, zorder=1)
-            for triangle in pyramids(contact):
-                axes.fill(*seen(triangle + shift).T, facecolor=ORANGE, edgecolor=ORANGE, alpha=0.3, linewidth=0.4, zorder=2)
-        outline = [withStroke(linewidth=6.5, foreground="white")]
-        for segment, far in bones(robot, trace.q[step]):
-            style = {"color": FAR if far else NEAR, "linewidth": 4.5, "solid_capstyle": "round", "path_effects": outline}
-            axes.plot(*seen(segment + shift).T, zorder=3 if far else 4, **style)
-        wrenches = trace.wrenches[min(step, last - 1)]  # at the end there is no command
-        for contact, wrench in zip(sample.contacts, wrenches, strict=True):
-            foot = contact.placement.translation
-            tip = foot + FORCE * contact.placement.rotation @ wrench[:3]
-            arrow = {"arrowstyle": "-|>", "color": RED, "linewidth": 2, "mutation_scale": 13, "shrinkA": 0, "shrinkB": 0}
-            axes.annotate("", seen(tip + shift), seen(foot + shift), arrowprops=arrow, zorder=6)
-        axes.plot(*seen(trace.com[: step + 1] + shift).T, color=BLUE, linewidth=2.5, zorder=5)
-        axes.scatter(*seen(trace.com[step] + shift), s=45, color="white", edgecolor=BLUE, linewidth=2, zorder=6)
-        data = robot.model.createData()
-        pin.forwardKinematics(robot.model, data, trace.q[step])
-        head = data.oMi[robot.model.getJointId("head_2_joint")].act(HEAD) + shift
-        axes.scatter(*seen(head), s=330, color=NEAR, edgecolor="white", linewidth=1.5, zorder=4)
-        axes.text(place * SPACING, LOWEST + 0.02, f"{trace.t[step]:.2f} s", ha="center", va="bottom")
-    axes.plot([-LEFT, -LEFT + 0.5], [LOWEST + 0.3] * 2, color="black", linewidth=2)
-    axes.text(-LEFT + 0.25, LOWEST + 0.28, "0.5 m", ha="center", va="top", fontsize=13)
-    axes.set(aspect="equal", xlim=(-LEFT, 2 * SPACING + RIGHT), ylim=(LOWEST, HIGHEST))
+def poses(axes, robot: Robot, sample: Sample, trace: Trace) -> None:
+    """The robot at the start and at the end, on the same feet, to scale."""
+    start, end = (bones(robot, q) for q in (trace.q[0], trace.q[-1]))
+    for contact in sample.contacts:
+        axes.fill(*seen(corner_points(contact)).T, facecolor=BLUE, edgecolor=BLUE, linewidth=0.8, zorder=5)
+    for number, (segments, color) in enumerate(((start, START), (end, END))):
+        outline = [withStroke(linewidth=2.6, foreground="white")]
+        style = {"color": color, "linewidth": 1.6, "solid_capstyle": "round", "path_effects": outline, "clip_on": False}
+        for segment in segments:
+            axes.plot(*seen(segment).T, zorder=2 + number, **style)
+        axes.scatter(*seen(segments[-1][1]), s=42, color=color, edgecolor="white", linewidth=0.6, zorder=2 + number)
+    last = len(trace.t) - 1  # the state at the end has no command
+    wrenches = trace.wrenches[last - 1] if last else ()
+    for contact, wrench in zip(sample.contacts, wrenches, strict=False):
+        foot = contact.placement.translation
+        tip = foot + FORCE * contact.placement.rotation @ wrench[:3]
+        arrow = {"arrowstyle": "-|>", "color": RED, "linewidth": 0.9, "mutation_scale": 5, "shrinkA": 0, "shrinkB": 0}
+        axes.annotate("", seen(tip), seen(foot), arrowprops=arrow, zorder=6)
+    axes.plot(*seen(trace.com).T, color=ORANGE, linewidth=1.6, zorder=5, path_effects=[withStroke(linewidth=2.4)])
+    axes.scatter(*seen(trace.com[-1]), s=14, marker="s", color=ORANGE, edgecolor="black", linewidth=0.6, zorder=6)
+    across = seen(np.concatenate([*start, *end]))[:, 0]
+    left = (across.min() + across.max() - ACROSS) / 2
+    axes.set(aspect="equal", xlim=(left, left + ACROSS), ylim=(LOWEST, HIGHEST))
     axes.set_axis_off()
 
 
 def from_above(axes, sample: Sample, trace: Trace, out: jaxcap.Capturability) -> None:
-    """Contacts, region of static equilibrium and the CoM's path; metres."""
-    axes.fill(*region(sample.contacts, trace.com[0]).T, facecolor=REGION, edgecolor=BLUE, linewidth=0.8, zorder=0)
+    """Contacts, region of static equilibrium and the CoM's path; a bar of 0.2 m."""
+    axes.fill(*region(sample.contacts, trace.com[0]).T, facecolor=REGION, edgecolor=BLUE, linewidth=0.6, zorder=0)
     for contact in sample.contacts:
-        axes.fill(*corner_points(contact)[:, :2].T, facecolor="none", edgecolor=NEAR, linewidth=1.2, zorder=1)
+        axes.fill(*corner_points(contact)[:, :2].T, facecolor="none", edgecolor=END, linewidth=0.8, zorder=1)
     start, velocity = trace.com[0], trace.com_velocity[0]
+    axes.plot(*trace.com[:, :2].T, color=ORANGE, linewidth=1.6, zorder=4, path_effects=[withStroke(linewidth=2.4)])
+    axes.scatter(*start[:2], s=12, color="white", edgecolor="black", linewidth=0.8, zorder=5)
+    axes.scatter(*trace.com[-1, :2], s=14, marker="s", color=ORANGE, edgecolor="black", linewidth=0.6, zorder=6)
     if bool(out.capturable):
         end = start + float(out.distance) * velocity / np.linalg.norm(velocity)
-        axes.plot(*np.array([start, end])[:, :2].T, color=ORANGE, linewidth=2, linestyle=(0, (2, 1)), zorder=2)
-        axes.scatter(*end[:2], marker="*", s=130, color=ORANGE, edgecolor="black", linewidth=0.6, zorder=3)
-    axes.plot(*trace.com[:, :2].T, color=RED, linewidth=2.2, zorder=4)
-    axes.scatter(*start[:2], s=40, color="white", edgecolor=RED, linewidth=2, zorder=5)
-    axes.scatter(*trace.com[-1, :2], s=45, marker="s", color=RED, zorder=5)
-    arrow = {"arrowstyle": "-|>", "color": "black", "linewidth": 1.2, "mutation_scale": 11, "shrinkA": 0, "shrinkB": 0}
-    axes.annotate("", start[:2] + 0.25 * velocity[:2], start[:2], arrowprops=arrow, zorder=6)
+        axes.plot(*end[:2], marker="x", markersize=4.5, color=BLUE, markeredgewidth=1.5, zorder=7)
     shown = np.concatenate([trace.com[:, :2], *(corner_points(contact)[:, :2] for contact in sample.contacts)])
-    middle, half = (shown.max(axis=0) + shown.min(axis=0)) / 2, np.ptp(shown, axis=0).max() / 2 + 0.05
-    limits = {"xlim": (middle[0] - half, middle[0] + half), "ylim": (middle[1] - half, middle[1] + half)}
-    axes.set(aspect="equal", xlabel="x [m]", ylabel="y [m]", **limits)
-    axes.xaxis.set_major_locator(MaxNLocator(4))
-    axes.yaxis.set_major_locator(MaxNLocator(4))
+    middle, half = (shown.max(axis=0) + shown.min(axis=0)) / 2, np.ptp(shown, axis=0).max() / 2 + 0.06
+    (left, low), (right, high) = middle - half, middle + half
+    axes.set(aspect="equal", xlim=(left, right), ylim=(low, high), xticks=[], yticks=[])
+    axes.plot([left + 0.03, left + 0.23], [low + 0.04] * 2, color="black", linewidth=1.5, solid_capstyle="butt", zorder=8)
 
 
-def panel(strip_axes, path_axes, robot: Robot, scenario: str, index: int) -> None:
+class Cell(NamedTuple):
+    """Where one sample is drawn."""
+
+    robot: Axes
+    above: Axes
+
+
+def cells(figure: Figure, row: int) -> list[Cell]:
+    """The two cells of a row, the first row being the uppermost."""
+    width, height = figure.get_size_inches()
+    across = CELL * ACROSS / (HIGHEST - LOWEST)
+    bottom = LEGEND + (len(SAMPLES) - 1 - row) * (CELL + TITLE)
+    place = lambda left, wide, high: figure.add_axes((left / width, bottom / height, wide / width, high / height))
+    lefts = (0.02, 0.02 + WIDTH / 2)
+    return [Cell(place(left, across, CELL), place(left + across + 0.02, SIDE, SIDE)) for left in lefts]
+
+
+def panel(cell: Cell, robot: Robot, scenario: str, index: int) -> None:
     """Simulate one sample and draw it."""
     sample = draw(robot, scenario, SEED, index)
     run = Simulator(robot, CONFIGURATIONS["standard"]).run(sample, trace=True)
     trace = run.trace
     out = prediction(sample, trace.com[0], trace.com_velocity[0])
-    strip(strip_axes, robot, sample, trace)
-    from_above(path_axes, sample, trace, out)
-    said = "stop" if bool(out.capturable) else "fall"
-    ended = {"stopped": "stopped after", "infeasible": "fell after"}[run.reason]
+    poses(cell.robot, robot, sample, trace)
+    from_above(cell.above, sample, trace, out)
+    stop, stopped = bool(out.capturable), run.reason == "stopped"
+    ended = {"stopped": "stopped", "infeasible": "fell"}[run.reason]
     speed = np.linalg.norm(trace.com_velocity[0])
-    strip_axes.set_title(f"{TITLES[scenario]}: {speed:.2f} m/s, {ended} {run.time:.2f} s", fontsize=19, loc="left")
-    path_axes.set_title(f"predicted: {said}\n(margin {float(out.margin):+.2f} m/s)", fontsize=15)
+    cell.robot.text(0, 1.01, f"{speed:.2f} m/s, {ended} at {run.time:.1f} s", transform=cell.robot.transAxes, va="bottom")
+    said = f"predicted: {'stop' if stop else 'fall'}\n{float(out.margin):+.2f} m/s"
+    if stop != stopped:
+        said += f"\n{'missed fall' if stop else 'false alarm'}"
+        for spine in cell.above.spines.values():
+            spine.set(color=RED, linewidth=2.4)
+    style = {"color": RED, "fontweight": "bold"} if stop != stopped else {}
+    cell.above.text(0.5, 1.06, said, transform=cell.above.transAxes, ha="center", va="bottom", linespacing=1.1, **style)
 
 
 def legend(figure) -> None:
     """What the signs mean."""
-    line = lambda color, label, **style: Line2D([], [], color=color, label=label, linewidth=3, **style)
-    dot = {"marker": "o", "markerfacecolor": "white", "markersize": 9}
+    line = lambda color, label, **style: Line2D([], [], color=color, label=label, linewidth=1.6, **style)
+    square = {"marker": "s", "markersize": 3.5, "markeredgecolor": "black", "markeredgewidth": 0.6}
+    cross = {"linestyle": "", "marker": "x", "markersize": 4.5, "markeredgewidth": 1.5}
     handles = [
-        Patch(facecolor=BLUE, edgecolor="black", label="contact"),
-        Patch(facecolor=ORANGE, alpha=0.5, label="friction pyramids (0.09 m high)"),
-        line(RED, f"force of a contact ({0.25 / FORCE:.0f} N are 0.25 m)"),
-        line(BLUE, "CoM so far", **dot),
-        Patch(facecolor=REGION, edgecolor=BLUE, label="CoM can rest here"),
-        line(RED, "CoM from start to end (square)", **dot),
-        line("black", "first 0.25 s at the initial velocity"),
-        line(ORANGE, "predicted path and stop", linestyle=(0, (2, 1)), marker="*", markersize=14, markeredgecolor="black"),
+        line(START, "start"),
+        line(END, "end"),
+        Patch(facecolor=BLUE, edgecolor=BLUE, linewidth=0.8, label="contact"),
+        line(RED, f"last force ({0.25 / FORCE:.0f} N: 0.25 m)"),
+        line(ORANGE, "path of the CoM to its end", **square, path_effects=[withStroke(linewidth=2.4)]),
+        line("black", "0.2 m, seen from above"),
+        Patch(facecolor=REGION, edgecolor=BLUE, linewidth=0.6, label="where the CoM can rest"),
+        line(BLUE, "predicted stop", **cross),
     ]
-    figure.legend(handles=handles, loc="outside lower center", ncols=4, frameon=False)
+    figure.legend(
+        handles=handles, loc="lower center", ncols=2, frameon=False, handlelength=1.6, columnspacing=1.0, borderaxespad=0.1
+    )
 
 
 def main(arguments=None) -> None:
@@ -220,14 +224,17 @@ def main(arguments=None) -> None:
     jax.config.update("jax_enable_x64", True)
     matplotlib.use("Agg")
     robot = load("talos")
-    matplotlib.rcParams["font.size"] = 17
-    size = {"figsize": (22, 18.5), "dpi": 80, "layout": "constrained"}
-    figure, grid = plt.subplots(4, 4, width_ratios=(1.9, 0.9, 1.9, 0.9), **size)
-    for row, (scenario, indices) in zip(grid, SAMPLES.items(), strict=True):
-        for column, index in zip((0, 2), indices, strict=True):
-            panel(row[column], row[column + 1], robot, scenario, index)
-    legend(figure)
-    figure.savefig(options.output)
+    with matplotlib.rc_context({"font.size": 6.5, "axes.linewidth": 0.6}):
+        figure = plt.figure(figsize=(WIDTH, LEGEND + len(SAMPLES) * (CELL + TITLE)), dpi=300)
+        for row, (scenario, indices) in enumerate(SAMPLES.items()):
+            pair = cells(figure, row)
+            pair[0].robot.text(
+                0, 1.1, TITLES[scenario], transform=pair[0].robot.transAxes, va="bottom", fontsize=7.5, fontweight="bold"
+            )
+            for cell, index in zip(pair, indices, strict=True):
+                panel(cell, robot, scenario, index)
+        legend(figure)
+        figure.savefig(options.output)
 
 
 if __name__ == "__main__":

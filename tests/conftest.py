@@ -5,7 +5,7 @@ import shutil
 from pathlib import Path
 
 import pytest
-from tiers import is_quick, mark
+from tiers import chosen, mark, part
 
 KEPT = Path(__file__).resolve().parents[1] / ".jax_cache"
 """Compiled programs, for the next run and for the processes that tests start; may be deleted at any time."""
@@ -21,10 +21,14 @@ os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(KEPT))
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", str(WORTH_KEEPING))
 
 import jax  # noqa: E402
+from hypothesis import settings  # noqa: E402
 from jaxtyping import install_import_hook  # noqa: E402
 
 jax.config.update("jax_compilation_cache_dir", os.environ["JAX_COMPILATION_CACHE_DIR"])  # a plugin may have imported JAX
 jax.config.update("jax_persistent_cache_min_compile_time_secs", WORTH_KEEPING)
+
+settings.register_profile("repeatable", derandomize=True)  # the same examples every time
+settings.load_profile("repeatable")
 
 with install_import_hook("jaxcap", "beartype.beartype"):
     import jaxcap  # noqa: F401
@@ -32,6 +36,7 @@ with install_import_hook("jaxcap", "beartype.beartype"):
 
 def pytest_addoption(parser):
     parser.addoption("--everything", action="store_true", help="run all tests, not only the quick ones")
+    parser.addoption("--others", action="store_true", help="run the tests that are not quick, and only those")
 
 
 def pytest_configure(config):
@@ -43,27 +48,26 @@ def pytest_configure(config):
 
 
 def pytest_report_header(config):
-    return None if config.option.everything else "the quick tests; --everything runs all of them"
+    wanted = part(config.option)
+    return None if wanted == "all" else f"only part of the tests ({wanted}); --everything runs all of them"
 
 
-COUNTS = pytest.StashKey[dict[str, int]]()
+FOUND = pytest.StashKey[list[pytest.Item]]()
 
 
 def pytest_collection_modifyitems(config, items):
-    """Marks what is not quick, and leaves it out unless --everything or -m asks for it."""
+    """Marks what is not quick, and leaves out what --everything, --others or -m does not ask for."""
     mark(items)
-    quick = [item for item in items if is_quick(item)]
-    others = [item for item in items if not is_quick(item)]
-    config.stash[COUNTS] = {"all": len(items), "quick": len(quick), "others": len(others)}
-    if not config.option.everything and not config.option.markexpr:
-        config.hook.pytest_deselected(items=others)
-        items[:] = quick
+    config.stash[FOUND] = list(items)
+    items[:] = chosen(items, part(config.option))
+    kept = set(items)
+    config.hook.pytest_deselected(items=[item for item in config.stash[FOUND] if item not in kept])
 
 
 @pytest.fixture
-def counts(request):
-    """How many tests were found, and how many of them are quick."""
-    return request.config.stash[COUNTS]
+def found(request):
+    """All tests that there are, also those that this run leaves out."""
+    return request.config.stash[FOUND]
 
 
 @pytest.fixture

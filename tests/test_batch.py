@@ -92,7 +92,7 @@ def test_lists_and_whole_numbers_are_taken():
 def test_gradient_through_score():
     coms, velocities = states(5)
     total = lambda velocities: jnp.sum(jaxcap.score(CONE, coms, velocities).margin)
-    one = jax.vmap(jax.grad(lambda com, velocity: jaxcap.capturability(CONE, com, velocity).margin, argnums=1))
+    one = jax.jit(jax.vmap(jax.grad(lambda com, velocity: jaxcap.capturability(CONE, com, velocity).margin, argnums=1)))
     np.testing.assert_allclose(jax.grad(total)(jnp.asarray(velocities)), one(coms, velocities), rtol=1e-3, atol=1e-3)
 
 

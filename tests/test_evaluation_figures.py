@@ -182,14 +182,16 @@ def test_no_velocity_has_no_predicted_length():
 
 
 def test_a_side_without_paths_is_drawn_and_described():
-    side = path_figure.Side([], 0, 0, 0)
-    assert "nan" not in path_figure.described({"none": side})
-    path_figure.drawn({"none": side, "one": path_figure.Side([PATH], 1, 0, 0)}).draw_without_rendering()
+    none, one = path_figure.Side([], 0, 0, 0), path_figure.Side([PATH], 1, 0, 0)
+    found = {"four": dict(zip(path_figure.SIDES, (one, none), strict=True))}
+    told = path_figure.described(found)
+    assert "nan" not in told and "| four | predicted to fall | 0 | 0 | 0 | 0 | - | - | - |" in told
+    path_figure.drawn(found).draw_without_rendering()
 
 
 def test_a_replay_starts_in_the_sample_and_is_laid_onto_its_prediction():
     two = samples_of("two", [8, 0], ["stopped", "fallen"])
-    column = path_figure.sides(two, np.array([True, False]), 1)["predicted to stop (true negatives)"]
+    column = path_figure.sides(two, np.array([True, False]), 1)[path_figure.SIDES[0]]
     (path,) = column.paths
     assert column.cells == 1 and column.short == 0 and column.changed == 0
     assert path[0] == pytest.approx(np.zeros(3)) and path[1, 0] > 0
@@ -217,12 +219,33 @@ def test_a_cumulative_histogram_rises_from_zero_to_one(seconds):
     assert times[0] == min(seconds) and times[-1] == max(seconds)
 
 
-def test_times_of_single_states_are_measured_and_drawn(three):
-    seconds = time_figure.single_times(three)
+@pytest.mark.parametrize("predict", [time_figure.algorithm_1, time_figure.capture_point_reach])
+def test_times_of_single_states_are_measured(three, predict):
+    seconds = time_figure.single_times(three, predict)
     assert len(seconds) == 1 and 0 < seconds[0] < 60  # the first call is not counted
-    measured = {"three": time_figure.Times(seconds, 2e-5, 1e-6)}
-    assert f"{1e3 * seconds[0]:.2f} | 20.00 | 1.00" in time_figure.described(measured)
+
+
+def test_times_are_told_and_drawn():
+    measured = {"three": time_figure.Times(np.array([1e-3, 3e-3]), np.array([5e-4]), 2e-5, 1e-6)}
+    told = time_figure.described(measured)
+    assert "| three | 2 | 2.00 | 2.90 | 3.00 | 0.50 | 0.50 | 0.50 | 20.00 | 1.00 |" in told
     time_figure.drawn(measured).draw_without_rendering()
+
+
+@pytest.mark.parametrize("speed", [0.1, 1.0, 4.0])
+def test_the_capture_point_reaches_the_edge_of_a_level_sole(speed):
+    points, frames = np.array([[x, y, 0.2] for x in (-0.1, 0.1) for y in (-0.05, 0.05)]), np.tile(np.eye(3), (4, 1, 1))
+    com, velocity = np.array([0.0, 0.0, 1.01]), np.array([speed, 0.0, 0.3])
+    found = time_figure.capture_point_reach(points, frames, np.full(4, 0.5), com, velocity)
+    assert found == pytest.approx(0.1 - speed * np.sqrt(0.81 / 9.81), abs=1e-9)  # (14), of a CoM 0.81 m above the sole
+
+
+def test_the_capture_point_is_not_known_below_ground_or_beside_the_polygon():
+    points, frames = np.array([[x, y, 0.2] for x in (-0.1, 0.1) for y in (-0.05, 0.05)]), np.tile(np.eye(3), (4, 1, 1))
+    reach = lambda com: time_figure.capture_point_reach(
+        points, frames, np.full(4, 0.5), np.array(com), np.array([0.1, 0, 0])
+    )
+    assert np.isnan(reach([0.0, 0.0, 0.1])) and np.isnan(reach([0.0, 0.3, 1.0])) and not np.isnan(reach([0.3, 0.0, 1.0]))
 
 
 # Failures

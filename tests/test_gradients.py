@@ -15,8 +15,12 @@ STEP = 1e-6
 
 
 def figures(cone, com, velocity):
-    answer = jaxcap.capturability(cone, com, velocity)
-    return jnp.stack([getattr(answer, name) for name in FIGURES])
+    return values(jaxcap.capturability(cone, com, velocity))
+
+
+def values(answer):
+    """The figures of an answer, last."""
+    return jnp.stack([getattr(answer, name) for name in FIGURES], axis=-1)
 
 
 @pytest.fixture(scope="module")
@@ -28,9 +32,9 @@ def derivatives():
         joint = lambda cone, state: figures(cone, state[:3], state[3:])
         reverse = np.asarray(jax.jit(jax.vmap(jax.jacrev(joint, argnums=1)))(cones, state))
         forward = np.asarray(jax.jit(jax.vmap(jax.jacfwd(joint, argnums=1)))(cones, state))
-        value = jax.jit(jax.vmap(joint))
+        value = lambda state: values(each()(cones, state[:, :3], state[:, 3:]))
         difference = lambda step: np.stack(
-            [(value(cones, state + d) - value(cones, state - d)) / (2 * step) for d in step * np.eye(6)], axis=-1
+            [(value(state + d) - value(state - d)) / (2 * step) for d in step * np.eye(6)], axis=-1
         )
         with np.errstate(invalid="ignore"):
             differences = [np.asarray(difference(step)) for step in (STEP, 2 * STEP)]

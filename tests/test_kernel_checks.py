@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from samplers import random_contacts, rectangle, rotation
 from scipy.spatial import ConvexHull
-from states import contact_set
+from states import ROWS, SHARED, contact_set
 
 import jaxcap
 from reference.contacts import wrench_rays
@@ -35,9 +35,7 @@ FARTHEST = 1.0
 """Half the length of the line that is looked at, about the middle of the places of rest [m]."""
 SETTLED = 1e-5
 """The kernel is complete when its edge moves by less than this in a time step, on average, in cells."""
-FACES = 640
-"""At least as many as any of the cones has."""
-STATES = 256
+STATES = SHARED
 """Scored together: compiled once."""
 ROUNDING = 1e-6
 """[m/s]"""
@@ -182,7 +180,7 @@ def assert_bracketed(arrays, com, along, line: Edges):
     assert apart.max() < 1
     alpha = np.linspace(line.alpha[0], line.alpha[-1], STATES + 2)[1:-1]
     coms = com + alpha[:, None] * along
-    cone = jaxcap.centroidal_cone(contact_set(*arrays)).padded(FACES)
+    cone = jaxcap.centroidal_cone(contact_set(*arrays)).padded(ROWS)
     places = too_slow = 0
     for heading in (1, -1):
         found = jaxcap.score(cone, coms, np.tile(heading * along, (len(alpha), 1)))
@@ -247,7 +245,7 @@ def test_inverted_pendulum_with_finite_feet():
         at = -(coms[:, :2] @ sides[:, :2].T + sides[:, 2]) / rate
         near, far = np.where(rate < 0, at, -np.inf).max(axis=1), np.where(rate > 0, at, np.inf).min(axis=1)
         met = (near < far) & (far > 0)
-        cone = jaxcap.centroidal_cone(contact_set(*arrays)).padded(FACES)
+        cone = jaxcap.centroidal_cone(contact_set(*arrays)).padded(ROWS)
         found = jaxcap.score(cone, coms, along)
         np.testing.assert_allclose(found.max_speed, np.where(met, omega * far, 0), rtol=1e-8, atol=ROUNDING)
         np.testing.assert_allclose(found.min_speed, np.where(met, omega * np.maximum(near, 0), 0), rtol=1e-8, atol=ROUNDING)

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from samplers import random_contacts, rotation
-from states import FORMS, contact_set, each, random_states, stack
+from states import FORMS, contact_set, each, pieces, random_states, stack
 
 import jaxcap
 
@@ -130,9 +130,11 @@ def test_jit_vmap_loop_and_score_agree():
     for i in (0, 40, 80):
         cone = pick(cones, i)
         near = slice(i, i + STATES)
-        assert_same(pick(mapped, near), jaxcap.score(cone, coms[near], velocities[near]))
-        inside = jax.jit(jaxcap.score)(cone, coms[near], velocities[near])
-        assert_same(inside, jaxcap.score(cone, coms[near], velocities[near]))
+        outside = pieces(cone, coms[near], velocities[near])
+        assert_same(pick(mapped, near), outside)
+        assert_same(jax.jit(jaxcap.score)(cone, coms[near], velocities[near]), outside)
+    if form == "rays":  # what follows is of JAX, whatever the form, and takes three times as long with rays
+        return
     with jax.disable_jit():
         assert_same(pick(mapped, 0), jaxcap.capturability(pick(cones, 0), jnp.asarray(coms[0]), jnp.asarray(velocities[0])))
 

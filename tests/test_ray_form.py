@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from samplers import random_state, rectangle, rotation
-from states import POINTS, contact_set, each, random_states, stack
+from states import POINTS, contact_set, each, pieces, random_states, stack
 
 import jaxcap
 from jaxcap import Case, Status
@@ -25,8 +25,8 @@ FIGURES = ("margin", "min_speed", "max_speed", "paper_margin", "distance", "time
 
 
 def rays_of(contacts, sides=4):
-    """One batched ConeRays for a list of contact sets, padded to the largest."""
-    size = max(map(len, contacts))
+    """One batched ConeRays for a list of contact sets, padded: to POINTS contacts, with more sides to 256 rays."""
+    size = POINTS if sides == 4 else 256 // sides
     return jaxcap.cone_rays(stack([one.padded(size) for one in contacts]), sides)
 
 
@@ -37,12 +37,12 @@ def single(tree):
 
 @pytest.fixture(scope="module")
 def both():
-    """Face form and ray form of 3,600 random states, the latter in one call."""
+    """Face form and ray form of 3,600 random states, the latter a thousand contact sets a call."""
     contacts, cones, coms, velocities = random_states(SETS, STATES, SEED)
     with jax.enable_x64(True):
         faces = jax.tree.map(np.asarray, each()(cones, coms, velocities))
         sets = stack([contact_set(*arrays).padded(POINTS) for arrays in contacts])
-        rays = jax.tree.map(np.asarray, jaxcap.score(jaxcap.cone_rays(sets), coms, velocities))
+        rays = pieces(jaxcap.cone_rays(sets), coms, velocities)
     return faces, rays
 
 
@@ -69,7 +69,7 @@ def test_consistent_with_the_face_form(both):
 def test_single_precision_gives_the_verdict_of_double(both):
     contacts, _, coms, velocities = random_states(SETS, STATES, SEED)
     sets = stack([contact_set(*arrays).padded(POINTS) for arrays in contacts])
-    found = jaxcap.score(single(jaxcap.cone_rays(sets)), coms.astype(np.float32), velocities.astype(np.float32))
+    found = pieces(single(jaxcap.cone_rays(sets)), coms.astype(np.float32), velocities.astype(np.float32))
     assert (found.status == Status.OK).all()
     assert found.margin.dtype == np.float32
     differ = found.capturable != both[1].capturable
@@ -203,16 +203,15 @@ def test_degenerate_sets_are_consistent_in_one_call(sides):
         cone = jaxcap.centroidal_cone(contacts, sides).padded(1500 if sides == 16 else 500)
         faces.append(jaxcap.score(cone, coms[names == name], velocities[names == name]))
     faces = jax.tree.map(lambda *parts: np.concatenate(parts), *faces)
-    rays = jaxcap.score(rays_of(sets, sides), coms, velocities)
-    assert_consistent(faces, jax.tree.map(np.asarray, rays))
+    assert_consistent(faces, pieces(rays_of(sets, sides), coms, velocities))
 
 
 def test_degenerate_sets_in_single_precision():
     """Every state is decided, and as in double precision outside the band."""
     _, sets, coms, velocities = degenerate_batch()
     rays = rays_of(sets)
-    double = jaxcap.score(rays, coms, velocities)
-    found = jaxcap.score(single(rays), coms.astype(np.float32), velocities.astype(np.float32))
+    double = pieces(rays, coms, velocities)
+    found = pieces(single(rays), coms.astype(np.float32), velocities.astype(np.float32))
     assert np.isin(found.status, [Status.OK, Status.NO_DIRECTION, Status.MAX_SWINGS]).all()
     outside = np.abs(double.margin) > 1e-3
     np.testing.assert_array_equal(found.capturable[outside], double.capturable[outside])
@@ -223,7 +222,7 @@ def test_no_contact_at_all_is_empty():
     feet = (foot(0, 0.1) + foot(0, -0.1)).padded(POINTS)
     sets = [feet, hidden(feet), feet] * 4
     velocities = np.repeat([[0.1, 0, 0], [0, 0, 1.0], [0, 0, -1.0], [0, 0, 0]], 3, axis=0)
-    found = jaxcap.score(rays_of(sets), np.tile([0, 0, 0.8], (12, 1)), velocities)
+    found = pieces(rays_of(sets), np.tile([0, 0, 0.8], (12, 1)), velocities)
     air = np.arange(12) % 3 == 1
     assert (found.case[air] == Case.EMPTY).all()
     np.testing.assert_array_equal(found.capturable, ~air)
@@ -236,7 +235,7 @@ def test_contacts_that_are_not_finite_cost_no_other_row():
     coms, velocities = np.tile([0, 0, 0.8], (3, 1)), np.tile([0.1, 0, 0], (3, 1))
     rays = jaxcap.cone_rays(feet)
     bad = jaxcap.ConeRays(rays.rays.at[1, 5, 2].set(np.nan), rays.mask, rays.origin, rays.length)
-    found = jaxcap.score(bad, coms, velocities)
+    found = pieces(bad, coms, velocities)
     np.testing.assert_array_equal(found.status, [Status.OK, Status.NONFINITE, Status.OK])
     np.testing.assert_array_equal(found.capturable, [True, False, True])
 
@@ -249,8 +248,8 @@ def test_rays_of_another_number_of_states_are_a_type_error():
 def test_shared_rays_are_the_same_as_rays_for_each_state():
     _, _, coms, velocities = random_states(SETS, STATES, SEED)
     contacts = foot(0, 0.1) + foot(0.2, -0.2, 0.3, rotation(0.3, 0.2, 0.1))
-    shared = jaxcap.score(jaxcap.cone_rays(contacts.padded(POINTS)), coms[:900], velocities[:900])
-    own = jaxcap.score(rays_of([contacts.padded(POINTS)] * 900), coms[:900], velocities[:900])
+    shared = pieces(jaxcap.cone_rays(contacts.padded(POINTS)), coms[:900], velocities[:900])
+    own = pieces(rays_of([contacts] * 900), coms[:900], velocities[:900])
     for one, other in zip(shared, own, strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-9)
 
@@ -264,8 +263,7 @@ def test_a_warm_start_changes_no_answer(own):
     coms = np.array([0.1, 0, 0.7]) + 0.25 * np.sin(steps * [1.0, 1.3, 0.4])
     velocities = 0.4 * np.cos(steps * [1.0, 1.7, 2.1])
     coms[700:], velocities[700:] = rng.permutation(coms[700:]), rng.permutation(velocities[700:])
-    contacts = contacts.padded(POINTS)
-    rays = rays_of([contacts] * 1000) if own else jaxcap.cone_rays(contacts)
+    rays = rays_of([contacts] * 1000) if own else jaxcap.cone_rays(contacts.padded(POINTS))
     cold = jaxcap.score(rays, coms, velocities)
     warm = jaxcap.score(rays, coms, velocities, neighbours=True)
     assert len(np.unique(cold.case)) > 3
@@ -275,7 +273,7 @@ def test_a_warm_start_changes_no_answer(own):
 def test_padding_and_vmap_of_cone_rays():
     """`cone_rays` of a batch is that of each set; traced contacts give the same; padding is neutral."""
     contacts = [foot(0, 0.1) + foot(0.2, -0.2, 0.3), foot(0.1, 0.3, 0, rotation(0.1, 0, 0.3)) + foot(0, 0)]
-    batched = rays_of(contacts)
+    batched = jaxcap.cone_rays(stack(contacts))
     mapped = jax.jit(jax.vmap(jaxcap.cone_rays))(stack(contacts))
     for i, one in enumerate(contacts):
         alone = jaxcap.cone_rays(one)

@@ -184,7 +184,7 @@ def test_convention_error_finds_a_wrong_convention(talos):
         q.append(pin.integrate(model, q[-1], velocity * dt))
     q = np.array(q)
     right = robots.convention_error(model, q, v, dt)
-    assert right.shape == (18,) and right.max() < 1e-4
+    assert right.shape == (20,) and right.max() < 1e-4
     half = robots.convention_error(model, q[::2], v[::2], 2 * dt)
     assert 3 < half.max() / right.max() < 5  # second order
     world = v.copy()

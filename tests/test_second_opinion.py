@@ -1,6 +1,7 @@
 """What rays leave undecided, faces answer."""
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from states import FORMS, random_states
@@ -17,7 +18,7 @@ ROWS = (2, 3, 11)
 def test_what_is_missing_is_answered_by_faces(dtype):
     with jax.enable_x64(dtype == np.float64):
         _, cones, coms, velocities = random_states(6, 2, 11, "rays")
-        coms, velocities = coms.astype(dtype), velocities.astype(dtype)
+        coms, velocities = jnp.asarray(coms, dtype), jnp.asarray(velocities, dtype)
         found = jaxcap.score(cones, coms, velocities)
         assert (found.status == Status.OK).all()
         lost = jax.tree.map(np.array, found)
@@ -35,13 +36,14 @@ def test_what_is_missing_is_answered_by_faces(dtype):
 
 def test_nothing_missing_nothing_done():
     _, cones, coms, velocities = random_states(3, 2, 11, "rays")
+    coms, velocities = jnp.asarray(coms), jnp.asarray(velocities)
     found = jaxcap.score(cones, coms, velocities)
     assert decided(cones, coms, velocities, GRAVITY, found) is found
 
 
 def test_one_contact_set_for_all():
     feet = FORMS["rays"](jaxcap.rectangle((0, 0, 0), np.eye(3), 0.1, 0.07, 0.5))
-    coms, velocities = np.array([[0, 0, 0.8], [0.01, 0, 0.8]]), np.array([[0.1, 0, 0], [2.0, 0, 0]])
+    coms, velocities = jnp.array([[0, 0, 0.8], [0.01, 0, 0.8]]), jnp.array([[0.1, 0, 0], [2.0, 0, 0]])
     found = jaxcap.score(feet, coms, velocities)
     lost = found._replace(status=np.array([Status.MAX_STEPS] * 2, np.int8), capturable=np.array([False, True]))
     again = decided(feet, coms, velocities, GRAVITY, lost)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from samplers import rotation
 from scipy.spatial import ConvexHull
-from states import each, random_states
+from states import POINTS, ROWS, each, pieces, random_states
 
 import jaxcap
 from jaxcap import Case, Status
@@ -26,9 +26,9 @@ def points(*positions, frames=UP, friction=0.5):
     return jaxcap.ContactSet(np.array(positions, float), frames, friction)
 
 
-FORMS = {  # of one size: compiled once
-    "faces": lambda contacts, sides=4: jaxcap.centroidal_cone(contacts, sides).padded(160),
-    "rays": lambda contacts, sides=4: jaxcap.cone_rays(contacts.padded(16), sides),
+FORMS = {  # of the sizes that other files have: compiled once
+    "faces": lambda contacts: jaxcap.centroidal_cone(contacts).padded(ROWS),
+    "rays": lambda contacts: jaxcap.cone_rays(contacts.padded(POINTS)),
 }
 
 
@@ -64,7 +64,7 @@ def test_flat_ground_is_the_capture_point_in_the_hull_of_the_contacts():
     expected = outside <= 0
     assert 0.05 < expected.mean() < 0.95
     for dtype, band in ((np.float64, 1e-9), (np.float32, 1e-3)):
-        found = jaxcap.score(cone, coms.astype(dtype), velocities.astype(dtype))
+        found = pieces(cone, coms.astype(dtype), velocities.astype(dtype))
         clear = np.abs(outside) > band
         assert clear.mean() > 0.9
         np.testing.assert_array_equal(np.asarray(found.capturable)[clear], expected[clear])

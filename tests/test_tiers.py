@@ -5,7 +5,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-from tiers import MARKS, QUICK, is_quick, kind_of, mark
+from tiers import MARKS, QUICK, chosen, is_quick, kind_of, mark, part
 
 HERE = Path(__file__).parent
 
@@ -49,9 +49,23 @@ def test_a_mark_is_given_by_file_and_name():
     assert is_quick(Item(marks=set())) and not any(is_quick(Item(marks={name})) for name in MARKS)
 
 
-def test_quick_and_others_are_all(counts, request):
-    """And what this run has left is all, or the quick ones."""
-    assert counts["all"] == counts["quick"] + counts["others"]
+def test_quick_and_others_are_all(found):
+    """Each test is in one of the two parts, and in one only."""
+    quick, others = chosen(found, "quick"), chosen(found, "others")
+    assert set(quick).isdisjoint(others)
+    assert set(quick) | set(others) == set(found) == set(chosen(found, "all"))
+    assert all(map(is_quick, quick)) and not any(map(is_quick, others))
+
+
+@pytest.mark.parametrize(
+    ("given", "expected"),
+    [({}, "quick"), ({"others": True}, "others"), ({"everything": True}, "all"), ({"markexpr": "sim"}, "all")],
+)
+def test_the_options_ask_for_a_part(given, expected):
+    assert part(SimpleNamespace(**{"everything": False, "others": False, "markexpr": ""} | given)) == expected
+
+
+def test_a_run_has_the_part_that_it_is_asked_for(found, request):
     option = request.config.option
     if not option.markexpr and not option.keyword:
-        assert len(request.session.items) == counts["all" if option.everything else "quick"]
+        assert request.session.items == chosen(found, part(option))

@@ -42,7 +42,7 @@ def test_a_viable_joint_stays_viable_whatever_is_chosen(place, pace, deceleratio
         assert least <= greatest + ROUNDING
         acceleration = least + choice * (greatest - least)
         if capped:
-            assert abs(acceleration) <= deceleration
+            assert abs(acceleration) <= deceleration + ROUNDING
         velocity += dt * acceleration
         position += dt * velocity
         assert -1.0 - ROUNDING <= position <= 2.0 + ROUNDING

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from samplers import random_contacts, rotation
 from scipy.spatial import ConvexHull
-from states import contact_set
+from states import POINTS, ROWS, contact_set, pieces
 
 import jaxcap
 from jaxcap.regions.com_area import com_area
@@ -17,13 +17,10 @@ pytestmark = pytest.mark.usefixtures("x64")
 G, HEIGHT = 9.81, 0.8
 OMEGA = np.sqrt(G / HEIGHT)
 UP = np.eye(3)
-RAYS = 16
-"""Contacts of a ray form, padded: compiled once."""
-FACES = 640
 FEW = 5
 """Lines of a CoM area: as many states as there are `MANY` directions, once they are padded."""
 MANY = 255
-"""Directions: few shapes, each of which is compiled once."""
+"""Directions: with the one that `velocity_area` adds, as many states as `pieces` has."""
 
 
 def foot(x, y, friction=2.0, z=0.0, frame=UP, half=(0.1, 0.05)):
@@ -35,11 +32,11 @@ def points(*positions, friction=0.5):
 
 
 def faces(contacts):
-    return jaxcap.centroidal_cone(contacts).padded(FACES)
+    return jaxcap.centroidal_cone(contacts).padded(ROWS)
 
 
 def rays(contacts):
-    return jax.tree.map(np.asarray, jaxcap.cone_rays(contacts.padded(RAYS)))
+    return jax.tree.map(np.asarray, jaxcap.cone_rays(contacts.padded(POINTS)))
 
 
 FEET = foot(0, 0.1) + foot(0, -0.1)
@@ -60,7 +57,7 @@ def standing_samples(seed, count, rectangles=(2, 3, 4)):
         cone = faces(contact_set(*arrays))
         low, high = arrays[0].min(axis=0), arrays[0].max(axis=0)
         coms = rng.uniform(low - np.array([0, 0, 0.3]), high + np.array([0, 0, 1.2]), (64, 3))
-        stands = np.asarray(jaxcap.score(cone, coms, np.zeros_like(coms)).capturable)
+        stands = pieces(cone, coms, np.zeros_like(coms)).capturable
         if stands.any():
             count -= 1
             yield arrays, cone, coms[np.argmax(stands)]
@@ -379,7 +376,7 @@ def test_the_com_area_is_where_the_verdict_is_yes(samples):
         places = np.concatenate([rng.uniform(low, high, (2000, 2)), (area.rear + area.front) / 2])
         places = places[np.isfinite(places).all(axis=1)]
         coms = np.column_stack([places, np.full(len(places), com[2])])
-        verdict = np.asarray(jaxcap.score(cone, coms, np.tile(velocity, (len(coms), 1))).capturable)
+        verdict = pieces(cone, coms, np.tile(velocity, (len(coms), 1))).capturable
         inside, distance = in_polygons(area.outline(), places)
         clear = distance > 0.01  # between two lines an edge is a chord
         np.testing.assert_array_equal(verdict[clear], inside[clear])

@@ -3,7 +3,6 @@
 They are few, and a projection takes milliseconds. Faces settle them by other numbers: they choose no bases, so none can tie.
 """
 
-from functools import cache
 from typing import NamedTuple
 
 import jax
@@ -11,9 +10,9 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxcap.batch.blocks import ROWS
-from jaxcap.contacts.cone import CentroidalCone, ConeRays
+from jaxcap.contacts.cone import CentroidalCone, ConeRays, projected
 from jaxcap.contacts.conventions import ArrayLike
-from jaxcap.contacts.projection import ProjectionError, cone_faces
+from jaxcap.contacts.projection import ProjectionError
 from jaxcap.one_state.capturability import capturability
 from jaxcap.one_state.result import Capturability, Status
 
@@ -29,9 +28,7 @@ class _State(NamedTuple):
     com_velocity: Float[np.ndarray, "3"]
 
 
-def decided(
-    cone: ConeRays, coms: Array, com_velocities: Array, gravity: ArrayLike, found: Capturability
-) -> Capturability:
+def decided(cone: ConeRays, coms: Array, com_velocities: Array, gravity: ArrayLike, found: Capturability) -> Capturability:
     """The answers, those that are missing from faces; what faces do not decide either stays undecided.
 
     Args:
@@ -52,31 +49,22 @@ def decided(
             state = _state(cone, coms, com_velocities, int(row))
             if state is None:
                 continue
-            for field, value in zip(fields, _compiled()(*state, gravity), strict=True):
+            for field, value in zip(fields, _compiled(*state, gravity), strict=True):
                 field[row] = value
     return Capturability(*map(jax.numpy.asarray, fields))
 
 
 def _state(cone: ConeRays, coms: Array, com_velocities: Array, row: int) -> _State | None:
     """None where the rays have no faces."""
-    rays, origin, length = (
-        np.asarray(field[row] if cone.batched else field, float) for field in (cone.rays, cone.origin, cone.length)
-    )
-    scale = np.array([1, 1, 1, length, length, length])
+    own = (np.asarray(field[row] if cone.batched else field, float) for field in (cone.rays, cone.origin, cone.length))
     try:
-        faces = cone_faces(rays / scale) / scale
+        faces = projected(*own)
     except ProjectionError:
         return None
     size = ROWS
-    while size < len(faces):
+    while size < len(faces.faces):
         size *= 4  # few sizes: each is compiled
-    return _State(
-        CentroidalCone(faces, origin, length).padded(size),
-        np.asarray(coms[row], float),
-        np.asarray(com_velocities[row], float),
-    )
+    return _State(faces.padded(size), np.asarray(coms[row], float), np.asarray(com_velocities[row], float))
 
 
-@cache
-def _compiled():
-    return jax.jit(capturability)
+_compiled = jax.jit(capturability)

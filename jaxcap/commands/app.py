@@ -8,9 +8,13 @@ from jaxcap.commands.map import MAP, map_kernel
 from jaxcap.commands.plot import PLOT, plot
 from jaxcap.commands.score import score
 from jaxcap.commands.score_help import SCORE
+from jaxcap.commands.states import STATES, states
+from jaxcap.commands.view import VIEW, view
 
 COMMANDS: dict[str, tuple[Callable[..., None], str]] = {
+    "states": (states, STATES),
     "score": (score, SCORE),
+    "view": (view, VIEW),
     "map": (map_kernel, MAP),
     "plot": (plot, PLOT),
 }

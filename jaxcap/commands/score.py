@@ -14,6 +14,7 @@ from tqdm import tqdm
 
 from jaxcap.commands.compile_cache import compilation_cache
 from jaxcap.commands.scorers import Scorer, scorer_of
+from jaxcap.commands.states import LogOptions, states_of_log
 from jaxcap.commands.summary import Summary
 from jaxcap.contacts.contact_set import ContactSet
 from jaxcap.contacts.conventions import GRAVITY
@@ -39,6 +40,8 @@ def score(
     *,
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="OUT")],
     contacts: Annotated[Path | None, tyro.conf.arg(metavar="CONTACTS")] = None,
+    robot: Annotated[str | None, tyro.conf.arg(metavar="ROBOT")] = None,
+    log: tyro.conf.OmitArgPrefixes[LogOptions] = LogOptions(),  # noqa: B008
     dtype: Literal["float32", "float64"] = "float32",
     sides: int = 4,
     batch_size: int = 65536,
@@ -57,6 +60,8 @@ def score(
         states: File of states, .parquet, .npz or .csv.
         output: File to write, .parquet or .npz.
         contacts: File of contacts, .yaml or .json; not needed if STATES has them.
+        robot: STATES is the log of this robot: its name, or URDF or MJCF file. See jaxcap states --help.
+        log: How it is read.
         dtype: Precision of the computation and of the figures written.
         sides: Edges of the pyramid that replaces each friction cone, at least 3.
         batch_size: States that are read, scored and written at a time.
@@ -68,9 +73,14 @@ def score(
         force: Overwrite OUT if it exists.
     """
     _check_options(sides, batch_size, baselines, height)
-    check_output(output, force=force, inputs=(states, contacts) if contacts else (states,))
+    check_output(output, force=force, inputs=tuple(path for path in (states, contacts) if path))
     sets = read_contact_sets(contacts) if contacts else None
-    with jax.enable_x64(dtype == "float64"), read_states(states, batch_size, np.float64) as source, compilation_cache(cache):
+    with (
+        jax.enable_x64(dtype == "float64"),
+        states_of_log(states, robot, log, output, strict) as file,
+        read_states(file, batch_size, np.float64) as source,
+        compilation_cache(cache),
+    ):
         for name in source.skipped:
             print(f"note: {states}: {name!r} is not carried through: not one value for each state", file=sys.stderr)
         described = _contacts(states, source.contacts, contacts, sets)

@@ -7,6 +7,8 @@ _INPUT = """Score a file of robot states: can the robot stop without moving a co
 EXAMPLES
   jaxcap score walk.parquet --contacts feet.yaml -o scores.parquet
   jaxcap score steps.parquet -o scores.parquet      # with columns of contacts
+  jaxcap score walk.csv --robot g1 -o scores.parquet     # a log: see jaxcap
+                                                    # states --help
 
 STATES is Parquet (.parquet), NPZ (.npz) or CSV (.csv); for each state, a row:
     com            3 numbers   centre of mass [m]

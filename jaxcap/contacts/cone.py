@@ -58,15 +58,30 @@ def centroidal_cone(contacts: ContactSet, sides: int = 4) -> CentroidalCone:
     origin = active.points.mean(axis=0)
     length = np.linalg.norm(active.points - origin, axis=1).max()
     length = length if length > _same_place(active) else 1.0
-    scale = np.array([1, 1, 1, length, length, length])
-    rays = np.asarray(wrench_rays(active, sides, origin)) / scale
     try:
-        faces = cone_faces(rays)
+        return projected(np.asarray(wrench_rays(active, sides, origin)), origin, np.asarray(length))
     except ProjectionError as error:
         raise ProjectionError(f"faces of {len(active)} contacts with {sides} sides: {error}") from error
+
+
+def projected(
+    rays: Float[np.ndarray, "r 6"], origin: Float[np.ndarray, "3"], length: Float[np.ndarray, ""]
+) -> CentroidalCone:
+    """The cone of one contact set by its faces, from its rays; host only.
+
+    Args:
+        rays: as those of `ConeRays`; zeros are ignored.
+        origin: about which torques are taken [m].
+        length: size of the stance [m].
+
+    Raises:
+        ProjectionError: as `centroidal_cone`.
+    """
+    scale = np.array([1, 1, 1, length, length, length])
+    faces = cone_faces(rays / scale)
     # An order that rounding does not change: not that of the contacts, nor Qhull's.
     order = np.lexsort(np.round(faces, 9).T)
-    return CentroidalCone(faces=faces[order] / scale, origin=origin, length=np.asarray(length))
+    return CentroidalCone(faces=faces[order] / scale, origin=origin, length=length)
 
 
 class ConeRays(NamedTuple):

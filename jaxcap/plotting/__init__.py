@@ -17,6 +17,7 @@ with needs_extra("plots", "drawing"):
     from jaxcap.plotting.areas_of_maps import map_areas as map_areas
     from jaxcap.plotting.areas_of_maps import weakest as weakest
     from jaxcap.plotting.kernels import kernel_slice as kernel_slice
+    from jaxcap.plotting.over_time import timeline as timeline
     from jaxcap.plotting.patches import footprint as footprint
     from jaxcap.plotting.phase import phase_portrait as phase_portrait
     from jaxcap.plotting.stance_in_space import stance as stance

@@ -67,6 +67,7 @@ class Section(NamedTuple):
 
 
 SECTIONS = (
+    Section("In short", (postures.in_short, postures.areas_in_short, postures.order_in_words), ()),
     Section("Beside the paper's numbers", (tables.beside_the_paper, findings.differences), ()),
     Section(
         "Postures that can be held, and a fourth controller",

@@ -1,11 +1,12 @@
 """Fig. 7: paths of the CoM of robots that stopped, laid onto the predicted one.
 
 Left, robots that were predicted to stop (true negatives: the event is a fall), right, robots that were predicted to fall
-(false positives). A path is moved, turned and scaled so that the predicted one goes from (0, 0, 0) to (1, 0, 0): x is along
-the initial velocity; z is orthogonal to it and to the world's y axis, and points up; y completes the frame. The unit of
-length is the distance at which the braking pass of Algorithm 1 ends, which for a robot that is predicted to fall is where it
-can no longer decelerate, or has no acceleration left at all, at a speed that is not zero: the paper does not say what
-else its predicted path would be. States whose pass ends within SHORTEST have no such path, and are left out and counted.
+(false positives), a row for each scenario. A path is moved, turned and scaled so that the predicted one goes from (0, 0, 0)
+to (1, 0, 0): x is along the initial velocity; z is orthogonal to it and to the world's y axis, and points up; y completes
+the frame. The unit of length is the distance at which the braking pass of Algorithm 1 ends, which for a robot that is
+predicted to fall is where it can no longer decelerate, or has no acceleration left at all, at a speed that is not zero: the
+paper does not say what else its predicted path would be. States whose pass ends within SHORTEST have no such path, and are
+left out and counted.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MultipleLocator
@@ -23,10 +25,14 @@ from reference.algorithm import is_state_capturable
 from reference.evaluation import output, replay
 from reference.evaluation.figure_style import BLUE, GREY, RED, WIDE, save, styled
 from reference.evaluation.margins import corners, score
+from reference.evaluation.roc_figures import TITLES
 from reference.evaluation.samples import BEST, Samples, among
 
 PATHS = 100
 """On each side, as in the paper."""
+
+SIDES = ("predicted to stop", "predicted to fall")
+"""True negatives and false positives, of robots that stopped."""
 
 SEED = 2018
 """Of the choice."""
@@ -44,7 +50,7 @@ STEPS = 10
 """Of the simulation between two points that are drawn."""
 
 
-NOTE = """Robots on two feet that stopped. Lengths in those of the predicted path: median, quartiles. Left out: predicted to
+NOTE = """Robots that stopped. Lengths in those of the predicted path: median, quartiles. Left out: predicted to
 end within 1 mm, so that there is no path to scale. Fell now: did not stop when simulated again."""
 
 
@@ -87,10 +93,8 @@ def sides(samples: Samples, capturable: Bool[np.ndarray, " n"], most: int = PATH
     """Robots that stopped and were predicted to stop, or to fall: at most so many of each, chosen at random."""
     stopped = samples.outcomes[BEST] == "stopped"
     random = np.random.default_rng(SEED)
-    return {
-        "predicted to stop (true negatives)": _side(samples, np.flatnonzero(stopped & capturable), most, random),
-        "predicted to fall (false positives)": _side(samples, np.flatnonzero(stopped & ~capturable), most, random),
-    }
+    cells = zip(SIDES, (stopped & capturable, stopped & ~capturable), strict=True)
+    return {name: _side(samples, np.flatnonzero(cell), most, random) for name, cell in cells}
 
 
 def _side(samples: Samples, rows: Int[np.ndarray, " r"], most: int, random: np.random.Generator) -> Side:
@@ -123,13 +127,13 @@ def predicted_length(points, frames, friction, com, com_velocity) -> float:
 
 
 def com_paths(samples: dict[str, Samples], folder: Path) -> list[Path]:
-    """Fig. 7, of `two`, and a table of how far the paths go and stray."""
-    (file,) = among(samples, "two")
-    columns = sides(file, score(file, folder)["capturable"].astype(bool))
+    """Fig. 7, of each scenario, and a table of how far the paths go and stray."""
+    files = among(samples, *TITLES)
+    found = {TITLES[file.name]: sides(file, score(file, folder)["capturable"].astype(bool)) for file in files}
     table = Path(folder) / "figure_7.md"
-    output.write(table, described(columns).encode())
+    output.write(table, described(found).encode())
     with styled():
-        return [*save(drawn(columns), folder, "figure_7"), table]
+        return [*save(drawn(found), folder, "figure_7"), table]
 
 
 def reach(side: Side) -> tuple[Float[np.ndarray, " p"], Float[np.ndarray, " p"]]:
@@ -138,42 +142,56 @@ def reach(side: Side) -> tuple[Float[np.ndarray, " p"], Float[np.ndarray, " p"]]
     return ends, np.array([np.linalg.norm(path[:, 1:], axis=1).max() for path in side.paths])
 
 
-def described(columns: dict[str, Side]) -> str:
-    """A table in Markdown, a line for each side; medians with quartiles."""
+def described(found: dict[str, dict[str, Side]]) -> str:
+    """A table in Markdown, a line for each side of each scenario; medians with quartiles."""
     spread = lambda values: "{1:.2f} ({0:.2f} to {2:.2f})".format(*np.quantile(values, [0.25, 0.5, 0.75]))
     lines = [
-        "| | in the file | paths | left out | fell now | end along the prediction | stray at most | end beyond it |",
-        "|---|---|---|---|---|---|---|---|",
+        "| | | in the file | paths | left out | fell now | end along the prediction | stray at most | end beyond it |",
+        "|---" * 9 + "|",
     ]
-    for name, side in columns.items():
-        counts = f"{name} | {side.cells} | {len(side.paths)} | {side.short} | {side.changed}"
-        ends, strays = reach(side)
-        figures = f"{spread(ends)} | {spread(strays)} | {np.mean(ends > 1):.0%}" if side.paths else "- | - | -"
-        lines.append(f"| {counts} | {figures} |")
+    for title, columns in found.items():
+        for name, side in columns.items():
+            counts = f"{title} | {name} | {side.cells} | {len(side.paths)} | {side.short} | {side.changed}"
+            ends, strays = reach(side)
+            figures = f"{spread(ends)} | {spread(strays)} | {np.mean(ends > 1):.0%}" if side.paths else "- | - | -"
+            lines.append(f"| {counts} | {figures} |")
     return "\n".join([*lines, "", NOTE, ""])
 
 
-def drawn(columns: dict[str, Side]) -> Figure:
-    """A column for each side, under its name: above the xy plane, below the xz plane."""
-    figure = Figure(figsize=(WIDE, 4.15), layout="constrained")
-    grid = figure.subplots(2, len(columns), squeeze=False, sharex=True, sharey=True)
-    for row, axis, letter in zip(grid, (1, 2), "yz", strict=True):
-        for axes, side, color in zip(row, columns.values(), (BLUE, RED), strict=False):
-            for path in side.paths:
-                axes.plot(path[::STEPS, 0], path[::STEPS, axis], color=color, linewidth=0.5, alpha=0.6)
-                axes.plot(path[-1, 0], path[-1, axis], ".", color=color, markersize=2.5)
-            axes.plot([0, 1], [0, 0], color="black", linewidth=1.0)
-            axes.plot(1, 0, "*", color="black", markersize=9, markeredgecolor="white", markeredgewidth=0.6)
-            axes.set(aspect="equal", xlim=(-0.1, FAR), ylim=(-ASIDE, ASIDE))
-            axes.xaxis.set_major_locator(MultipleLocator(0.5))
-            axes.grid(color="#e8e8e8", linewidth=0.4)
-            axes.set_axisbelow(True)
-        row[0].set_ylabel(f"{letter} [predicted lengths]")
-    for above, below, (name, side) in zip(*grid, columns.items(), strict=True):
-        above.set_title(f"{name}: {len(side.paths)} of {side.cells:,}")
-        below.set_xlabel("x, along the initial velocity [predicted lengths]")
+def drawn(found: dict[str, dict[str, Side]]) -> Figure:
+    """A row for each scenario; in it, for each side under its name, the xy plane and the xz plane."""
+    figure = Figure(figsize=(WIDE, 0.8 + 1.0 * len(found)), layout="constrained")
+    grid = figure.subplots(len(found), 2 * len(SIDES), squeeze=False, sharex=True, sharey=True)
+    for row, (title, columns) in zip(grid, found.items(), strict=True):
+        row[0].set_ylabel(title.replace(", ", ",\n"))
+        for number, (name, color) in enumerate(zip(SIDES, (BLUE, RED), strict=True)):
+            side = columns[name]
+            for axes, axis in zip(row[2 * number : 2 * number + 2], (1, 2), strict=True):
+                _draw(axes, side, axis, color)
+            row[2 * number].text(
+                0.02, 0.97, f"{len(side.paths)} of {side.cells:,}", transform=row[2 * number].transAxes, va="top"
+            )
+    for number, axes in enumerate(grid[0]):
+        axes.set_title(f"{SIDES[number // 2]}: {'yz'[number % 2]}")
+    for axes in grid[-1]:
+        axes.set_xlabel("x, along the velocity")
     line = lambda label, **style: Line2D([], [], label=label, **style)
     dot, star = {"marker": ".", "color": GREY, "linewidth": 0.8}, {"marker": "*", "color": "black", "markersize": 8}
-    signs = [line("CoM of the simulated robot, dot where it stopped", **dot), line("predicted path and its end", **star)]
+    signs = [line("CoM of the simulated robot, dot where it stopped", **dot)]
+    signs.append(line("predicted path and its end; its length is the unit of both axes", **star))
     figure.legend(handles=signs, loc="outside lower center", ncols=2, frameon=False)
     return figure
+
+
+def _draw(axes: Axes, side: Side, axis: int, color: str) -> None:
+    """Paths in the plane of x and another axis, the predicted one above them."""
+    for path in side.paths:
+        axes.plot(path[::STEPS, 0], path[::STEPS, axis], color=color, linewidth=0.4, alpha=0.6)
+        axes.plot(path[-1, 0], path[-1, axis], ".", color=color, markersize=2)
+    axes.plot([0, 1], [0, 0], color="black", linewidth=1.0)
+    axes.plot(1, 0, "*", color="black", markersize=8, markeredgecolor="white", markeredgewidth=0.6)
+    axes.set(aspect="equal", xlim=(-0.1, FAR), ylim=(-ASIDE, ASIDE))
+    axes.xaxis.set_major_locator(MultipleLocator(0.5))
+    axes.yaxis.set_major_locator(MultipleLocator(0.5))
+    axes.grid(color="#e8e8e8", linewidth=0.4)
+    axes.set_axisbelow(True)

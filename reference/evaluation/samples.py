@@ -30,6 +30,10 @@ FILES = {
     "three_ablations": f"--samples 2000 --all --controllers {ABLATIONS}",
     "two_zero_momentum": "--samples 2000 --all --zero-momentum --controllers standard constant_momentum",
     "three_zero_momentum": "--samples 2000 --all --zero-momentum --controllers standard constant_momentum",
+    "three_strong_arms": "--samples 1000 --robot talos_strong_arms --states 1000",
+    "four_strong_arms": "--samples 1000 --robot talos_strong_arms --states 1000",
+    "two_coplanar_g1": "--samples 1000 --robot g1 --states 1000",
+    "two_g1": "--samples 1000 --robot g1 --states 1000",
 }
 """The files of a whole campaign, and the options that made them: `command`."""
 
@@ -175,7 +179,8 @@ def _runs(table: pa.Table, controller: str, dt: float) -> Runs:
 
 def command(name: str) -> str:
     """What makes the file of that name."""
-    scenario = name.removesuffix("_ablations").removesuffix("_zero_momentum")
+    kinds = ("_ablations", "_zero_momentum", "_strong_arms", "_g1")
+    scenario = next((name.removesuffix(kind) for kind in kinds if name.endswith(kind)), name)
     return f"python -m reference.tsid.campaign {scenario} -o {name}.parquet --jobs 2 --seed 2018 {FILES[name]}"
 
 
