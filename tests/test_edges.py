@@ -33,7 +33,7 @@ def contact_set(points, frames, friction) -> jaxcap.ContactSet:
 
 
 def answers(form, dtype, states):
-    """Answers of contact sets with pyramids of so many sides, each with a CoM and a velocity: (set, sides, com, velocity)."""
+    """Of states (contact set, sides of its pyramids, com, velocity)."""
     sets, sides, coms, velocities = zip(*states, strict=True)
     with jax.enable_x64(dtype == np.float64):
         rounded = [
