@@ -35,8 +35,8 @@ LOST_UNIT = 8
 """How much rather a unit column leaves than a ray, where the free variable comes in."""
 LEAST_FIT = 1e-3
 """A free column fits in another's place if its own share of it is at least this much of the largest."""
-SMALLER = 0.1
-"""Pivots this much smaller than wanted are taken where there is no other."""
+SMALLEST = {64: 1e-12, 32: 1e-5}
+"""Smallest pivot that is taken where there is no other, or where to leave it out would push a weight below zero."""
 WORN = 0.1
 """Largest error of an inverse that a Newton step may mend: it squares the error."""
 
@@ -393,10 +393,11 @@ def _leaving(
     above = jnp.where(missing, jnp.abs(held.weights), jnp.where(is_unit, 0, jnp.maximum(held.weights, 0)))
     bland = 1 / (2.0 + jnp.abs(basis.chosen)).astype(size.dtype)
     preferred = jnp.where(late, bland, size)
-    bound = tolerances(size.dtype).pivot
-    large = falls & (size > bound)
-    # Where all pivots are small, a small one.
-    falls = jnp.where(jnp.any(large, axis=0), large, falls & (size > SMALLER * bound))
+    large = falls & (size > tolerances(size.dtype).pivot)
+    falls = falls & (size > SMALLEST[jnp.finfo(size.dtype).bits])
+    step = jnp.min(jnp.where(large, (above + zero) / jnp.where(large, size, 1), jnp.inf), axis=0)
+    pushed = jnp.any(falls & ~large & (above + zero < step * size), axis=0)
+    falls = jnp.where(pushed, falls, large)
     return leaving_of(falls, above, size, zero, preferred)
 
 

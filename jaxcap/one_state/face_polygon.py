@@ -48,8 +48,9 @@ class Polygon(NamedTuple):
         return snapped(self.beyond + self.on_acceleration * self.fall, self.line.slack * self.line.weight)
 
     def values(self) -> Float[Array, "m *n"]:
-        """The acceleration at alpha = 0 that each row bounds [m/s^2]; as its bound over its coefficient, without cancellation."""
-        return ratio(self.beyond, self.on_acceleration) + self.fall
+        """The acceleration at alpha = 0 that each row bounds [m/s^2]: zero where that is all slack."""
+        value = ratio(self.beyond, self.on_acceleration) + self.fall
+        return snapped(value, ratio(self.line.slack * self.line.weight, jnp.abs(self.on_acceleration)))
 
     def flipped(self) -> "Polygon":
         """With the acceleration's sign turned: its lower boundary is minus the upper boundary of this one."""
@@ -74,16 +75,18 @@ class Polygon(NamedTuple):
     def survey(self, near: Any = None) -> Survey:
         """Static region, and polygon at alpha = 0. near: not used, faces are surveyed as fast from anywhere."""
         on_acceleration, on_alpha, bound = self.on_acceleration, self.on_alpha, self.bound
-        static, values = jax.lax.optimization_barrier((ratio(bound, on_alpha), ratio(self.beyond, on_acceleration)))
+        force = ratio(self.beyond, on_acceleration)
+        static, force, values = jax.lax.optimization_barrier((ratio(bound, on_alpha), force, self.values()))
         behind = jnp.max(jnp.where(on_alpha < 0, static, -jnp.inf), axis=0)
         # The end ahead, by what makes it: a row that bounds the acceleration from above, or another.
         above, other = (on_alpha > 0) & (on_acceleration > 0), (on_alpha > 0) & (on_acceleration <= 0)
         s_above, s_other = (jnp.min(jnp.where(rows, static, jnp.inf), axis=0) for rows in (above, other))
         ahead = jnp.minimum(s_above, s_other)
         lowest = jnp.max(jnp.where(on_acceleration < 0, values, -jnp.inf), axis=0)
-        highest = jnp.min(jnp.where(on_acceleration > 0, values, jnp.inf), axis=0)
+        least = jnp.max(jnp.where(on_acceleration < 0, force, -jnp.inf), axis=0)
+        most = jnp.min(jnp.where(on_acceleration > 0, force, jnp.inf), axis=0)
         # Ends that meet, but for rounding, are one place. Whether they do all rows say, those without a coefficient too.
-        place, force = _between(behind, ahead), _between(lowest, highest)
+        place, force = _between(behind, ahead), _between(least, most)
         missed = lambda coefficient, value, bound, slack: jnp.any(coefficient * value > bound + slack, axis=0)
         standing = ~missed(on_alpha, place, bound, self.line.slack_at(-self.fall))
         feasible = ~missed(on_acceleration, force, self.beyond, self.line.slack_at(force))
@@ -92,10 +95,10 @@ class Polygon(NamedTuple):
             s_max=jnp.maximum(ahead, place),
             standing=standing,
             feasible=feasible,
-            pulled_back=jnp.maximum(lowest, highest) + self.fall < 0,
+            pulled_back=jnp.maximum(lowest, most + self.fall) < 0,
             known=jnp.ones(standing.shape, bool),
             hangs=(s_above <= ahead) & (ahead < jnp.inf),
-            start=(lowest + self.fall, s_other),  # without a lowest, no other rows are left but walls
+            start=(lowest, s_other),  # without a lowest, no other rows are left but walls
         )
 
     def boundary(
@@ -173,7 +176,9 @@ def _crossings(rows: Polygon, intercept: Array, slope: Array) -> Float[Array, "m
     """
     rate = rows.on_acceleration * slope + rows.on_alpha
     crosses = rate > rows.line.slack * (rows.top[1] + rows.top[0] * jnp.abs(slope))
-    return jnp.where(crosses, (rows.beyond - rows.on_acceleration * (intercept - rows.fall)) / jnp.where(crosses, rate, 1), jnp.inf)
+    return jnp.where(
+        crosses, (rows.beyond - rows.on_acceleration * (intercept - rows.fall)) / jnp.where(crosses, rate, 1), jnp.inf
+    )
 
 
 def _follow(rows: Polygon, slopes: Array, alpha: Array, line: Affine) -> Next:
