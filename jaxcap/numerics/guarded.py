@@ -11,12 +11,9 @@ from jaxtyping import Array, Float
 class Tolerances(NamedTuple):
     """Relative bounds on rounding errors."""
 
-    zero_coefficient: float
-    """A coefficient of a half-plane this small, relative to the largest it could be, is zero."""
     slack: float
-    """Faces are moved outwards by this, relative to gravity's wrench: the cone is closed, and equalities can be met."""
-    parallel: float
-    """Two lines whose slopes differ by less than this, relatively, do not cross."""
+    """The one distance within which a verdict may differ: a CoM moved by this, relative to the size of the stance, or a
+    velocity turned by this angle [rad]. See `wrench_line`."""
     same_alpha: float
     """Positions this close, relative to the size of the stance and the CoM's distance from it, are one position."""
     pivot: float
@@ -30,8 +27,8 @@ class Tolerances(NamedTuple):
 def tolerances(dtype: DTypeLike) -> Tolerances:
     """The tolerances of a floating-point dtype."""
     if jnp.finfo(dtype).bits == 64:
-        return Tolerances(1e-13, 1e-12, 1e-14, 1e-9, pivot=1e-9, reduced_cost=1e-12, weight=1e-14)
-    return Tolerances(1e-6, 2e-6, 1e-6, 1e-4, pivot=1e-4, reduced_cost=2e-6, weight=2e-7)
+        return Tolerances(1e-12, 1e-9, pivot=1e-9, reduced_cost=1e-12, weight=1e-14)
+    return Tolerances(2e-6, 1e-4, pivot=1e-4, reduced_cost=2e-6, weight=2e-7)
 
 
 def root(square: Float[Array, "*n"]) -> Float[Array, "*n"]:
@@ -44,6 +41,16 @@ def ratio(numerator: Float[Array, "..."], denominator: Float[Array, "..."], othe
     """Quotient, `otherwise` where the denominator is zero."""
     safe = denominator != 0
     return jnp.where(safe, numerator / jnp.where(safe, denominator, 1), otherwise)
+
+
+def without_noise(value: Float[Array, "..."], noise: Float[Array, "..."]) -> Float[Array, "..."]:
+    """Zero, without a gradient, where the value is no larger than the noise."""
+    return jnp.where(jnp.abs(value) > noise, value, 0)
+
+
+def snapped(value: Float[Array, "..."], noise: Float[Array, "..."]) -> Float[Array, "..."]:
+    """Zero where the value is no larger than the noise; its gradient is kept, for to the right and left it is not zero."""
+    return value - jax.lax.stop_gradient(jnp.where(jnp.abs(value) <= noise, value, 0))
 
 
 def select(conditions, choices, otherwise):

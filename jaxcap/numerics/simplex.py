@@ -35,8 +35,14 @@ LOST_UNIT = 8
 """How much rather a unit column leaves than a ray, where the free variable comes in."""
 LEAST_FIT = 1e-3
 """A free column fits in another's place if its own share of it is at least this much of the largest."""
+SMALLEST = {64: 1e-12, 32: 1e-5}
+"""Smallest pivot that is taken where there is no other, or where to leave it out would push a weight below zero."""
 WORN = 0.1
 """Largest error of an inverse that a Newton step may mend: it squares the error."""
+
+
+_SPOILT = {64: 1e-6, 32: 1e-2}
+"""Largest error of an inverse at the end of a search that a Newton step may mend, by the bits of a number."""
 
 
 class Outcome(IntEnum):
@@ -180,9 +186,14 @@ def freed(program: Program, basis: Basis) -> Basis:
 
 
 def factorised(program: Program, index: Int[Array, "6 *n"]) -> Basis:
-    """The basis of these columns, by Gauss-Jordan elimination; a column that depends on the others stays out."""
+    """The basis of these columns, by Gauss-Jordan elimination; a ray that depends on the others stays out.
+
+    The free variable comes first: a ray that is left out can come in again, it can not.
+    """
     bound = tolerances(program.target.dtype).pivot
     basis = identity(index.shape[1:], program.target.dtype)
+    free = index == FREE
+    index = jnp.concatenate([jnp.where(free.any(axis=0), FREE, index[0])[None], jnp.where(free, index[0], index)[1:]])
     matrix = columns(program, index)
     for k in range(6):
         direction = times(basis.inverse, matrix[:, k])
@@ -215,11 +226,15 @@ def renewed(program: Program, basis: Basis) -> Basis:
 
 
 def _newton(program: Program, basis: Basis) -> tuple[Basis, Float[Array, "*n"]]:
-    """The basis after a Newton step for its inverse, and the largest error before."""
+    """The basis after a Newton step for its inverse, and the largest error before.
+
+    The error is that of inverse @ matrix, which weights inherit. That of matrix @ inverse would do for most bases, but where
+    an inverse is large, as that of a nearly flat cone, its rounding errors would be multiplied by all of it.
+    """
     matrix, inverse = columns(program, basis.chosen), basis.inverse
-    product = sum(matrix[:, i, None] * inverse[None, i] for i in range(6))
+    product = sum(inverse[:, i, None] * matrix[None, i] for i in range(6))
     error = jnp.eye(6, dtype=inverse.dtype).reshape(6, 6, *[1] * (inverse.ndim - 2)) - product
-    better = inverse + sum(inverse[:, i, None] * error[None, i] for i in range(6))
+    better = inverse + sum(error[:, i, None] * inverse[None, i] for i in range(6))
     return basis._replace(inverse=better), jnp.max(jnp.abs(error), axis=(0, 1))
 
 
@@ -231,6 +246,10 @@ class SimplexState(NamedTuple):
     flat: Bool[Array, "*n"]
     """No ray takes over from the unit columns that are left: their weights may be as large as the slack."""
     steps: Int[Array, ""]
+    again: Bool[Array, "*n"]
+    """The search has been asked for once more."""
+    checked: Bool[Array, ""]
+    """All have come to an end with inverses that are to be trusted."""
 
 
 def solve(program: Program, basis: Basis, active: Bool[Array, "*n"]) -> Solution:
@@ -240,34 +259,68 @@ def solve(program: Program, basis: Basis, active: Bool[Array, "*n"]) -> Solution
     smaller; then z. The basis of a similar program is therefore as good a start as it is near.
     """
     outcome = jnp.full(active.shape, Outcome.UNDECIDED, jnp.int32)
-    start = SimplexState(Solution(basis, outcome, jnp.zeros(active.shape, jnp.int32)), active, ~active, jnp.int32(0))
-    last = jax.lax.while_loop(
-        lambda state: jnp.any(state.running) & (state.steps < MAX_PIVOTS), lambda state: _step(program, state), start
+    solution = Solution(basis, outcome, jnp.zeros(active.shape, jnp.int32))
+    start = SimplexState(solution, active, ~active, jnp.int32(0), ~active, jnp.zeros((), bool))
+
+    def one(state: SimplexState) -> SimplexState:
+        searching = jnp.any(state.running) & (state.steps < MAX_PIVOTS)
+        return jax.lax.cond(searching, lambda: _step(program, state), lambda: _checked(program, state))
+
+    return jax.lax.while_loop(lambda state: ~state.checked, one, start).solution
+
+
+def _checked(program: Program, state: SimplexState) -> SimplexState:
+    """Where pivots have spoilt an inverse beyond repair, its end was none: from a new one the search goes on.
+
+    So it does, once, with a better inverse where z falls without end: errors of the inverse may look like a way to fall. And
+    once from the very beginning where it has found no end: on another way it may meet no pivot that is too small to be taken.
+    """
+    solution, late = state.solution, state.steps >= MAX_PIVOTS
+    better, error = _newton(program, solution.basis)
+    worn = (error > _SPOILT[jnp.finfo(error.dtype).bits]) & (solution.outcome != Outcome.UNDECIDED) & ~late
+    endless = (solution.outcome == Outcome.UNBOUNDED) & ~state.again
+    lost = state.running & ~state.again
+
+    def anew():
+        beginning = jnp.full_like(solution.basis.chosen, UNIT).at[0].set(FREE)
+        basis = factorised(program, jnp.where(lost, beginning, solution.basis.chosen))
+        return jax.tree.map(lambda new, old: jnp.where(worn | lost, new, old), basis, better)
+
+    basis = jax.lax.cond(jnp.any(worn | lost), anew, lambda: better)
+    running = worn | endless | lost
+    return state._replace(
+        solution=solution._replace(basis=basis),
+        running=running,
+        steps=jnp.where(jnp.any(lost), 0, state.steps),
+        again=state.again | endless | lost,
+        checked=~jnp.any(running),
     )
-    return last.solution
 
 
 def _step(program: Program, state: SimplexState) -> SimplexState:
     """One pivot, or the end."""
-    (basis, outcome, pivots), running, flat, count = state
-    late = count >= BLAND
-    held = _held(program, basis, flat)
+    (basis, outcome, pivots), running, flat, steps, again, checked = state
+    late = steps >= BLAND
+    weights = times(basis.inverse, program.target)
+    zero = _zero(program, basis, weights, steps)
+    held = _held(program, basis, weights, flat, zero)
     normal = combination(held.objective(basis).astype(held.weights.dtype), basis.inverse)
     entering, improves = _entering(program, normal, late)
     improves &= running
     direction = times(basis.inverse, ray(program.rays, entering))
-    leaving, gives_way = _leaving(program, basis, held, direction, late)
+    leaving, gives_way = _leaving(basis, held, direction, late, zero)
 
     go = improves & gives_way
     stuck = running & ~improves & held.seeking
     flattens = stuck & _within_slack(program, basis, held) & ~flat
     ending = jnp.where(stuck, Outcome.INFEASIBLE, Outcome.OPTIMAL)
     outcome = jnp.where(running & ~improves & ~flattens, ending, outcome)
-    # No column gives way: z falls without end. What is missing cannot, so there it is rounding that fails.
-    endless = jnp.where(held.seeking, Outcome.UNDECIDED, Outcome.UNBOUNDED)
+    # No column gives way: z falls without end. What is missing cannot fall so; then it was no more than rounding that fell.
+    endless = jnp.where(held.seeking, Outcome.INFEASIBLE, Outcome.UNBOUNDED)
     outcome = jnp.where(improves & ~gives_way, endless, outcome)
     basis = pivot(basis, leaving, entering, direction, go)
-    return SimplexState(Solution(basis, outcome.astype(jnp.int32), pivots + go), go | flattens, flat | flattens, count + 1)
+    solution = Solution(basis, outcome.astype(jnp.int32), pivots + go)
+    return SimplexState(solution, go | flattens, flat | flattens, steps + 1, again, checked)
 
 
 class Held(NamedTuple):
@@ -284,10 +337,29 @@ class Held(NamedTuple):
         return jnp.where(self.seeking, self.missing, basis.chosen == FREE)
 
 
-def _held(program: Program, basis: Basis, flat: Bool[Array, "*n"]) -> Held:
+def _zero(program: Program, basis: Basis, weights: Float[Array, "6 *n"], steps: Int[Array, ""]) -> Float[Array, "*n"]:
+    """How far below zero a weight is still zero [m/s^2]: relative to all that the rays have to add up to.
+
+    Pivots that are too small to be taken are left out, yet the weights behind them move, and where a cone is nearly flat by
+    more than rounding: what one pivot mends another one spoils, for ever. So late in the search all that is slack is zero,
+    and more and more of it.
+    """
     bounds = tolerances(program.target.dtype)
-    zero, slack = bounds.weight * program.scale, bounds.slack * program.scale
-    weights = times(basis.inverse, program.target)
+    late = jnp.maximum(steps - BLAND, 0) / 8
+    share = jnp.where(steps < BLAND, bounds.weight, (1 + late) * bounds.slack)
+    return share.astype(weights.dtype) * _size(program, basis, weights)
+
+
+def _size(program: Program, basis: Basis, weights: Float[Array, "6 *n"]) -> Float[Array, "*n"]:
+    """Of target and free variable together [m/s^2]."""
+    free = jnp.sum(jnp.where(basis.chosen == FREE, jnp.abs(weights), 0), axis=0)
+    return program.scale + jnp.max(jnp.abs(program.free), axis=0) * free
+
+
+def _held(
+    program: Program, basis: Basis, weights: Float[Array, "6 *n"], flat: Bool[Array, "*n"], zero: Float[Array, "*n"]
+) -> Held:
+    slack = tolerances(program.target.dtype).slack * _size(program, basis, weights)
     left_over = (basis.chosen <= UNIT) & (jnp.abs(weights) > jnp.where(flat, slack, zero))
     missing = jnp.where((basis.chosen >= 0) & (weights < -zero), -1, jnp.where(left_over, jnp.sign(weights), 0))
     return Held(weights, missing, jnp.any(missing != 0, axis=0))
@@ -295,7 +367,7 @@ def _held(program: Program, basis: Basis, flat: Bool[Array, "*n"]) -> Held:
 
 def _within_slack(program: Program, basis: Basis, held: Held) -> Bool[Array, "*n"]:
     """Nothing is missing but unit columns' weights, and those by no more than the slack."""
-    slack = tolerances(program.target.dtype).slack * program.scale
+    slack = tolerances(program.target.dtype).slack * _size(program, basis, held.weights)
     is_ray, is_unit = basis.chosen >= 0, basis.chosen <= UNIT
     return ~jnp.any(is_ray & (held.missing != 0) | is_unit & (jnp.abs(held.weights) > slack), axis=0)
 
@@ -312,17 +384,21 @@ def _entering(
 
 
 def _leaving(
-    program: Program, basis: Basis, held: Held, direction: Float[Array, "6 *n"], late: Bool[Array, ""]
+    basis: Basis, held: Held, direction: Float[Array, "6 *n"], late: Bool[Array, ""], zero: Float[Array, "*n"]
 ) -> tuple[Bool[Array, "6 *n"], Bool[Array, "*n"]]:
     """The column that has to leave as a ray comes in, of those that come to zero first, and whether there is one."""
-    bounds = tolerances(direction.dtype)
     is_ray, is_unit, missing = basis.chosen >= 0, basis.chosen <= UNIT, held.missing != 0
     size = jnp.abs(direction)
     falls = jnp.where(missing, direction * held.weights > 0, is_unit | is_ray & (direction > 0)) & (basis.chosen != FREE)
     above = jnp.where(missing, jnp.abs(held.weights), jnp.where(is_unit, 0, jnp.maximum(held.weights, 0)))
     bland = 1 / (2.0 + jnp.abs(basis.chosen)).astype(size.dtype)
     preferred = jnp.where(late, bland, size)
-    return leaving_of(falls & (size > bounds.pivot), above, size, bounds.weight * program.scale, preferred)
+    large = falls & (size > tolerances(size.dtype).pivot)
+    falls = falls & (size > SMALLEST[jnp.finfo(size.dtype).bits])
+    step = jnp.min(jnp.where(large, (above + zero) / jnp.where(large, size, 1), jnp.inf), axis=0)
+    pushed = jnp.any(falls & ~large & (above + zero < step * size), axis=0)
+    falls = jnp.where(pushed, falls, large)
+    return leaving_of(falls, above, size, zero, preferred)
 
 
 def leaving_of(

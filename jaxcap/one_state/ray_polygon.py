@@ -14,12 +14,12 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxcap.contacts.cone import ConeRays
 from jaxcap.numerics import simplex
-from jaxcap.numerics.guarded import ratio, tolerances
+from jaxcap.numerics.guarded import ratio, snapped, tolerances, without_noise
 from jaxcap.numerics.simplex import FREE, UNIT, Basis, Outcome, Program
 from jaxcap.one_state.boundary import Boundary, End
 from jaxcap.one_state.polygon import Survey
 from jaxcap.one_state.walk import Affine, Next, moved, walk
-from jaxcap.one_state.wrench_line import wrench_line
+from jaxcap.one_state.wrench_line import WrenchLine, wrench_line
 
 
 class Bases(NamedTuple):
@@ -35,6 +35,21 @@ class Bases(NamedTuple):
     """That the three programs took."""
 
 
+class Load(NamedTuple):
+    """What the rays have to add up to."""
+
+    wrench: Float[Array, "6 *n"]
+    """[m/s^2]"""
+    target: Float[Array, "6 *n"]
+    """The same, moved a little into the cone: it breaks ties, and closes the cone in spite of rounding."""
+    scale: Float[Array, "*n"]
+    """Size of the wrench [m/s^2]."""
+
+    def moved(self, change: Float[Array, "6 *n"]) -> "Load":
+        """With this wrench added."""
+        return self._replace(wrench=self.wrench + change, target=self.target + change)
+
+
 class RayPolygon(NamedTuple):
     """All (alpha, acceleration) whose wrench is a sum of rays with weights >= 0.
 
@@ -44,11 +59,17 @@ class RayPolygon(NamedTuple):
 
     rays: Float[Array, "6 r *#n"]
     per_acceleration: Float[Array, "6 *n"]
+    forward: Float[Array, "6 *n"]
+    """The same, moved a little into the cone where the acceleration holds the robot up: see `Load.target`."""
     per_alpha: Float[Array, "6 *n"]
-    target: Float[Array, "6 *n"]
-    """What the rays have to add up to at alpha = 0 without acceleration: against gravity, and a little into the cone."""
-    scale: Float[Array, "*n"]
-    """Size of that [m/s^2]."""
+    at_rest: Load
+    """What the rays have to carry at alpha = 0 without acceleration: the weight."""
+    falling: Load
+    """The same beyond free fall: the part of the weight across the line."""
+    fall: Float[Array, "*n"]
+    """Acceleration along the line in free fall [m/s^2]."""
+    line: WrenchLine
+    """What the wrenches were made of."""
     steepest: Float[Array, "*n"]
     """The largest that a coefficient of alpha can be [1/s^2]."""
     size: Float[Array, "*n"]
@@ -68,7 +89,9 @@ class RayPolygon(NamedTuple):
 
     def flipped(self) -> "RayPolygon":
         """With the acceleration's sign turned: its lower boundary is minus the upper boundary of this one."""
-        return self._replace(per_acceleration=-self.per_acceleration, start=_turned(self.ready))
+        return self._replace(
+            per_acceleration=-self.per_acceleration, forward=-self.forward, fall=-self.fall, start=_turned(self.ready)
+        )
 
     def seen_from(self, start: Float[Array, "*n"], heading: int | Float[Array, ""]) -> "RayPolygon":
         """With alpha counted from `start`, onwards (heading +1) or back (-1); so is the acceleration."""
@@ -76,17 +99,20 @@ class RayPolygon(NamedTuple):
         inverse = jnp.where(jnp.asarray(heading) > 0, self.ready.inverse, turned.inverse)
         return self._replace(
             per_acceleration=heading * self.per_acceleration,
+            forward=heading * self.forward,
             per_alpha=heading * self.per_alpha,
-            target=self.target + self.per_alpha * start,
+            at_rest=self.at_rest.moved(self.per_alpha * start),
+            falling=self.falling.moved(self.per_alpha * start),
+            fall=heading * self.fall,
             start=Basis(self.ready.chosen, inverse),
         )
 
     def survey(self, near: "Bases | None" = None) -> Survey:
         """Static region, and polygon at alpha = 0. near: `Survey.near` of a similar state."""
         fixed = jax.tree.map(jax.lax.stop_gradient, self)
-        lowest, least, most = fixed.at_start(), fixed.at_rest(-1), fixed.at_rest(1)
-        everywhere = jnp.ones(self.scale.shape, bool)
-        unit = simplex.identity(self.scale.shape, self.scale.dtype)
+        lowest, least, most = fixed.at_start(), fixed.standing(-1), fixed.standing(1)
+        everywhere = jnp.ones(self.fall.shape, bool)
+        unit = simplex.identity(self.fall.shape, self.fall.dtype)
         begin = simplex.freed(lowest, unit) if near is None else simplex.renewed(lowest, near.start)
         start = simplex.solve(lowest, begin, everywhere)
         feasible = start.outcome != Outcome.INFEASIBLE
@@ -95,12 +121,16 @@ class RayPolygon(NamedTuple):
         standing = first.outcome != Outcome.INFEASIBLE
         begin = _turned(first.basis) if near is None else simplex.renewed(most, near.most)
         second = simplex.solve(most, begin, standing & feasible)
-        bounded = lambda program, found: jnp.where(
+        bounded = lambda sign, found: jnp.where(
             (found.outcome == Outcome.OPTIMAL) & jnp.any(found.basis.chosen == FREE, axis=0),
-            _value(program, found.basis),
+            _place(self, sign, found.basis),
             -jnp.inf,
         )
-        s_min, s_max = bounded(self.at_rest(-1), first), -bounded(self.at_rest(1), second)
+        s_min, s_max = bounded(-1, first), -bounded(1, second)
+        # Ends that meet, but for rounding, are one place.
+        middle = jnp.where(s_min > s_max, (s_min + s_max) / 2, 0)
+        s_min, s_max = jnp.where(s_min > s_max, middle, s_min), jnp.where(s_min > s_max, middle, s_max)
+        pulled = (start.outcome != Outcome.OPTIMAL) | (_line(fixed, start.basis).intercept <= 0)
         undecided = (start.outcome == Outcome.UNDECIDED) | (first.outcome == Outcome.UNDECIDED)
         undecided |= standing & feasible & (second.outcome == Outcome.UNDECIDED)
         face = _normal(second.basis)
@@ -108,10 +138,10 @@ class RayPolygon(NamedTuple):
         pivots = start.pivots + first.pivots + second.pivots
         return Survey(
             s_min=s_min,
-            s_max=jnp.maximum(s_min, s_max),
+            s_max=s_max,
             standing=standing,
             feasible=feasible,
-            pulled_back=feasible & (s_min > 0) & ((start.outcome != Outcome.OPTIMAL) | (_value(lowest, start.basis) <= 0)),
+            pulled_back=feasible & (s_min > 0) & pulled,
             known=~undecided,
             hangs=hangs,
             near=Bases(start.basis, first.basis, second.basis, pivots),
@@ -126,15 +156,15 @@ class RayPolygon(NamedTuple):
         enough: Float[Array, "*n"] | None = None,
     ) -> Boundary:
         """The lower boundary, as `Producer` has it."""
-        return _boundary(self, *jax.lax.stop_gradient((limit.astype(self.target.dtype), enough)), rising, most)
+        return _boundary(self, *jax.lax.stop_gradient((limit.astype(self.fall.dtype), enough)), rising, most)
 
     def at_start(self) -> Program:
-        """The program of the smallest acceleration at alpha = 0, (25)."""
-        return Program(self.rays, -self.per_acceleration, self.target, self.scale)
+        """The program of the smallest acceleration at alpha = 0, (25); the free variable is the acceleration less `fall`."""
+        return Program(self.rays, -self.forward, self.falling.target, self.falling.scale)
 
-    def at_rest(self, sign: int) -> Program:
+    def standing(self, sign: int) -> Program:
         """The program of the smallest (-1) alpha at which zero acceleration is feasible, or of minus the largest (+1)."""
-        return Program(self.rays, sign * self.per_alpha, self.target, self.scale)
+        return Program(self.rays, sign * self.per_alpha, self.at_rest.target, self.at_rest.scale)
 
 
 def ray_polygon(
@@ -150,20 +180,26 @@ def ray_polygon(
     columns = jnp.swapaxes(jnp.asarray(rays.rays, com.dtype), 0, 1)
     columns = columns.reshape(*columns.shape, *[1] * (com.ndim + 1 - columns.ndim))  # one set for all lanes
     columns = jax.lax.optimization_barrier(scaled(columns))
-    scale, steepest = line.weight * line.remoteness, line.weight / line.length
+    steepest, into = line.weight / line.length, simplex.mixture(columns)
+
+    def load(wrench: Array, size: Array) -> Load:
+        # A vertical line has nothing across it; but ties have to be broken there too.
+        slack = line.slack * jnp.maximum(size, bounds.slack * line.weight)
+        return Load(-scaled(wrench), slack * into - scaled(wrench), slack / bounds.slack)
+
+    per_acceleration = scaled(line.per_acceleration)
     return RayPolygon(
         rays=columns,
-        per_acceleration=scaled(line.per_acceleration),
-        per_alpha=_without_noise(scaled(line.per_alpha), bounds.zero_coefficient * steepest),
-        target=bounds.slack * scale * simplex.mixture(columns) - scaled(line.at_rest),
-        scale=scale,
+        per_acceleration=per_acceleration,
+        forward=per_acceleration - line.slack * line.fall / line.weight * into,
+        per_alpha=scaled(line.per_alpha),
+        at_rest=load(line.at_rest, line.weight),
+        falling=load(line.across, line.sideways),
+        fall=line.fall,
+        line=line,
         steepest=steepest,
         size=line.length * line.remoteness,
     )
-
-
-def _without_noise(vector, noise):
-    return jnp.where(jnp.max(jnp.abs(vector), axis=0) > noise, vector, 0)
 
 
 def _turned(basis: Basis) -> Basis:
@@ -176,10 +212,12 @@ def _normal(basis: Basis) -> Float[Array, "6 *n"]:
     return simplex.combination((basis.chosen == FREE).astype(basis.inverse.dtype), basis.inverse)
 
 
-def _value(program: Program, basis: Basis) -> Float[Array, "*n"]:
-    """The free variable where the basis meets the target."""
-    held = simplex.weights(basis.inverse, simplex.columns(program, basis.chosen), program.target)
-    return jnp.sum(jnp.where(basis.chosen == FREE, held, 0), axis=0)
+def _place(polygon: RayPolygon, sign: int, basis: Basis) -> Float[Array, "*n"]:
+    """The free variable of `standing(sign)` where the basis meets the weight itself; zero where that is all slack."""
+    normal, matrix = _normal(basis), simplex.columns(polygon.standing(sign), basis.chosen)
+    held = simplex.weights(basis.inverse, matrix, polygon.at_rest.wrench)
+    noise = polygon.line.slack * polygon.line.weight * jnp.max(jnp.abs(normal), axis=0)
+    return snapped(jnp.sum(jnp.where(basis.chosen == FREE, held, 0), axis=0), noise)
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(3, 4))
@@ -208,12 +246,17 @@ def _search(
 
 
 def _line(polygon: RayPolygon, basis: Basis) -> Affine:
-    """The free variable over alpha."""
+    """The acceleration over alpha."""
     normal = _normal(basis)
     along = lambda vector: jnp.sum(normal * vector, axis=0)
-    slope = along(polygon.per_alpha)
-    noise = tolerances(slope.dtype).zero_coefficient * jnp.max(jnp.abs(normal), axis=0) * polygon.steepest
-    return Affine(along(polygon.target), jnp.where(jnp.abs(slope) > noise, slope, 0))
+    # The target is not used here: a deceleration that it has only because it was moved into the cone would stop the robot in
+    # the end, however far away. What is left of such a one is rounding error.
+    own = -along(polygon.per_acceleration)  # 1, but for what `forward` was moved by
+    share = jnp.where(own > 0.5, 1 / jnp.where(own > 0.5, own, 1), 1)
+    beyond, slope = share * along(polygon.falling.wrench), share * along(polygon.per_alpha)
+    slack = polygon.line.slack * jnp.max(jnp.abs(normal), axis=0)
+    noise = slack * (jnp.abs(beyond) + polygon.line.sideways)
+    return Affine(snapped(beyond + polygon.fall, noise), without_noise(slope, slack * polygon.steepest))
 
 
 def _wall(polygon: RayPolygon, floorless: Bool[Array, "*n"]) -> Float[Array, "*n"]:
@@ -221,17 +264,17 @@ def _wall(polygon: RayPolygon, floorless: Bool[Array, "*n"]) -> Float[Array, "*n
     along = polygon.per_acceleration[:, None]
     shared = jnp.broadcast_to(polygon.rays, (*polygon.rays.shape[:2], *along.shape[2:]))
     rays = jnp.concatenate([shared, along], axis=1)
-    program = Program(rays, polygon.per_alpha, polygon.target, polygon.scale)
-    start = simplex.identity(floorless.shape, polygon.target.dtype)
+    program = Program(rays, polygon.per_alpha, polygon.at_rest.target, polygon.at_rest.scale)
+    start = simplex.identity(floorless.shape, polygon.fall.dtype)
     found = simplex.solve(program, simplex.freed(program, start), floorless)
     bounded = (found.outcome == Outcome.OPTIMAL) & jnp.any(found.basis.chosen == FREE, axis=0)
-    return jnp.where(bounded, -_value(program, found.basis), jnp.inf)
+    return jnp.where(bounded, -_place(polygon._replace(rays=rays), 1, found.basis), jnp.inf)
 
 
 def _follow(polygon: RayPolygon, alpha: Array, basis: Basis) -> Next:
     """Where the first weight of the basis comes to zero, and the basis with the ray that takes over."""
     end, leaving, grows = _end(polygon, basis)
-    bounds = tolerances(polygon.target.dtype)
+    bounds = tolerances(polygon.fall.dtype)
     row = simplex.combination(leaving.astype(end.dtype), basis.inverse) * jnp.where(grows, -1, 1)
     normal = _normal(basis)
     entry = simplex.combination(-row, polygon.rays)
@@ -247,18 +290,33 @@ def _follow(polygon: RayPolygon, alpha: Array, basis: Basis) -> Next:
     return Next(end, leaves, _line(polygon, following), following)
 
 
-def _end(polygon: RayPolygon, basis: Basis) -> tuple[Float[Array, "*n"], Bool[Array, "6 *n"], Bool[Array, "*n"]]:
-    """Where the line of a basis ends, which column leaves there (one of six), and whether it does so as it grows."""
-    bounds = tolerances(polygon.target.dtype)
-    held, rate = simplex.times(basis.inverse, polygon.target), simplex.times(basis.inverse, polygon.per_alpha)
+class LineEnd(NamedTuple):
+    """Where the line of a basis ends."""
+
+    alpha: Float[Array, "*n"]
+    """[m], infinite where it does not."""
+    leaving: Bool[Array, "6 *n"]
+    """The column that comes to zero there."""
+    grows: Bool[Array, "*n"]
+    """It does so from below: a unit column."""
+
+
+def _end(polygon: RayPolygon, basis: Basis) -> LineEnd:
+    """The ratio test of the dual simplex."""
+    bounds, load = tolerances(polygon.fall.dtype), polygon.falling
+    held, rate = simplex.times(basis.inverse, load.target), simplex.times(basis.inverse, polygon.per_alpha)
     noise = jnp.max(jnp.abs(basis.inverse), axis=1) * jnp.max(jnp.abs(polygon.per_alpha), axis=0)
     unit = basis.chosen <= UNIT
-    ends = (jnp.where(unit, jnp.abs(rate), -rate) > bounds.parallel * noise) & (basis.chosen != FREE)
-    above = jnp.where(unit, bounds.slack * polygon.scale - jnp.sign(rate) * held, held)
+    ends = (jnp.where(unit, jnp.abs(rate), -rate) > bounds.slack * noise) & (basis.chosen != FREE)
+    above = jnp.where(unit, bounds.slack * load.scale - jnp.sign(rate) * held, held)
     at = jnp.where(ends, jnp.maximum(above, 0) / jnp.where(ends, jnp.abs(rate), 1), jnp.inf)
-    end = jnp.min(at, axis=0)
-    _, leaving = simplex.largest(jnp.where(at <= end, jnp.abs(rate), 0))
-    return end, leaving, jnp.any(leaving & unit & (rate > 0), axis=0)
+    first = jnp.min(at, axis=0)
+    _, leaving = simplex.largest(jnp.where(at <= first, jnp.abs(rate), 0))
+    of = lambda values: jnp.sum(jnp.where(leaving, values, 0), axis=0)
+    # The target decides which column leaves, for it has no ties. Where that is, the wrench itself says: a way to go that is
+    # all slack is none.
+    end = -ratio(of(simplex.times(basis.inverse, load.wrench)), of(rate))
+    return LineEnd(jnp.where(first < jnp.inf, end, jnp.inf), leaving, jnp.any(leaving & unit & (rate > 0), axis=0))
 
 
 @_boundary.defjvp
@@ -276,11 +334,11 @@ def _boundary_jvp(rising, most, primals, tangents):
 
         def figures(polygon):
             matrix = simplex.columns(polygon.at_start(), basis.chosen)
-            held = simplex.weights(basis.inverse, matrix, polygon.target)
+            held = simplex.weights(basis.inverse, matrix, polygon.falling.wrench)
             rate = simplex.weights(basis.inverse, matrix, polygon.per_alpha)
             free = lambda values: jnp.sum(jnp.where(basis.chosen == FREE, values, 0), axis=0)
             out = lambda values: jnp.sum(jnp.where(leaving & (basis.chosen != FREE), values, 0), axis=0)
-            return Affine(free(held), free(rate)), -ratio(out(held), out(rate))
+            return Affine(free(held) + polygon.fall, free(rate)), -ratio(out(held), out(rate))
 
         return jax.jvp(figures, (polygon,), (change,))[1]
 

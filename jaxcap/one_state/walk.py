@@ -77,12 +77,14 @@ def walk(
     Returns the boundary, and mark(memory) for every piece, stacked.
     """
     most = MAX_PIECES if most is None else most
+    # Forces without limit, but no way to go: a robot that moves has left the polygon already.
+    endless = floorless & (wall > 0)
     nothing = jnp.zeros((most, *limit.shape), limit.dtype)
     found = Boundary(
         pieces=Pieces(nothing, nothing, nothing, nothing),
         used=jnp.zeros((), jnp.int32),
-        end=jnp.where(floorless, wall, jnp.inf),
-        ending=jnp.where(floorless, End.FLOORLESS, End.LIMIT).astype(jnp.int8),
+        end=jnp.where(floorless, jnp.maximum(wall, 0), jnp.inf),
+        ending=jnp.where(endless, End.FLOORLESS, jnp.where(floorless, End.POLYGON, End.LIMIT)).astype(jnp.int8),
     )
     start = WalkState(
         alpha=jnp.zeros_like(limit),

@@ -2,6 +2,14 @@
 
 Every array carries its lanes last: a single state has none, a chunk of a batch has one axis of them. The state index is
 then the vectorised axis, whatever a producer does with rows or rays.
+
+What rounding and slack may do. A wrench of the line is (f, c x f), f = acceleration * v - g being the force at the CoM c. So
+a face of the cone asks for n . f <= 0 there, with a vector n that is rounded once, and a rounding error is the same as a CoM
+moved a little, however small f is: near free fall f vanishes, and gravity is no measure of it. Therefore f is split in two,
+
+    f = beyond * v - across,   beyond = acceleration - fall,   fall = g . v,   across = g - fall * v,
+
+computed without cancellation, and all slack is relative to |beyond| + |across|.
 """
 
 from typing import NamedTuple
@@ -11,12 +19,17 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxcap.contacts.conventions import ArrayLike
+from jaxcap.numerics.guarded import snapped, tolerances
+
+POSITION = 4
+"""Rounding errors in a position, at most."""
 
 
 class WrenchLine(NamedTuple):
     """The centroidal wrench per unit mass of a CoM on its line, force over torque about the contacts' centroid, (10) in (3):
 
-    w = per_acceleration * acceleration + per_alpha * alpha - at_rest.
+    w = per_acceleration * acceleration + per_alpha * alpha - at_rest
+      = per_acceleration * (acceleration - fall) + per_alpha * alpha - across.
 
     alpha is the distance along the line from the start [m], acceleration is along the line [m/s^2]. The mass cancels.
     """
@@ -27,12 +40,25 @@ class WrenchLine(NamedTuple):
     """(0, g x v)"""
     at_rest: Float[Array, "6 *n"]
     """(g, c x g)"""
+    across: Float[Array, "6 *n"]
+    """The same of the part of g that is across the line: zero where the line is vertical."""
+    fall: Float[Array, "*n"]
+    """Acceleration along the line in free fall, g . v [m/s^2]."""
     weight: Float[Array, "*n"]
     """|g| [m/s^2]."""
+    sideways: Float[Array, "*n"]
+    """Size of the part of g across the line [m/s^2]."""
     length: Float[Array, "*#n"]
     """Size of the stance [m]."""
     remoteness: Float[Array, "*n"]
     """1 + distance of the CoM from the contacts' centroid over the size of the stance: the scale of rounding errors."""
+    slack: Float[Array, "*n"]
+    """`Tolerances.slack` for this state: of the stance or of the CoM's distance from it, and never less than what the
+    positions themselves may be rounded by, which is more where they are far from the world's origin [-]."""
+
+    def slack_at(self, beyond: Float[Array, "*n"]) -> Float[Array, "*n"]:
+        """By how much a face may be missed at an acceleration so far beyond free fall [m/s^2]: relative to the force there."""
+        return self.slack * (jnp.abs(beyond) + self.sideways)
 
 
 def wrench_line(
@@ -40,23 +66,40 @@ def wrench_line(
 ) -> WrenchLine:
     """The wrenches of a CoM on the line com + alpha * along.
 
-    origin: (3,) centroid of the contacts [m], length: their size [m]. com: [m]. along: unit vectors, or zero. gravity: (3,)
-    [m/s^2].
+    Args:
+        origin: (3,) centroid of the contacts [m].
+        length: their size [m].
+        com: (3, *n) [m].
+        along: (3, *n) unit vectors, or zero.
+        gravity: (3,) [m/s^2].
+
+    A line within the angle `slack` of gravity counts as vertical.
     """
     column = lambda vector: jnp.asarray(vector, com.dtype).reshape(3, *jnp.shape(vector)[1:] or [1] * (com.ndim - 1))
     length = jnp.asarray(length, com.dtype)
     arm = com - column(origin)
     gravity = jnp.broadcast_to(column(gravity), com.shape)
-    distance = jnp.sqrt(jax.lax.stop_gradient(jnp.sum(arm * arm, axis=0)))
+    size = lambda vector: jnp.sqrt(jax.lax.stop_gradient(jnp.sum(vector * vector, axis=0)))
+    weight, turning = size(gravity), _cross(gravity, along)
+    # Not g - fall v, which would cancel. Without a direction, all of gravity is across it.
+    across = jnp.where(jnp.any(along != 0, axis=0), _cross(along, turning), gravity)
+    bounds, remoteness = tolerances(com.dtype), 1 + size(arm) / length
+    rounded = POSITION * float(jnp.finfo(com.dtype).eps) * (size(com) + size(column(origin))) / length
+    noise = jnp.where(size(across) > bounds.slack * weight, 0, jnp.inf)
+    across, turning = snapped(across, noise), snapped(turning, noise)
     return WrenchLine(
         per_acceleration=jnp.concatenate([along, _cross(arm, along)]),
-        per_alpha=jnp.concatenate([jnp.zeros_like(along), _cross(gravity, along)]),
+        per_alpha=jnp.concatenate([jnp.zeros_like(along), turning]),
         at_rest=jnp.concatenate([gravity, _cross(arm, gravity)]),
-        weight=jnp.sqrt(jax.lax.stop_gradient(jnp.sum(gravity * gravity, axis=0))),
+        across=jnp.concatenate([across, _cross(arm, across)]),
+        fall=jnp.sum(gravity * along, axis=0),
+        weight=weight,
+        sideways=size(across),
         length=length,
-        remoteness=1 + distance / length,
+        remoteness=remoteness,
+        slack=bounds.slack * remoteness + rounded,
     )
 
 
-def _cross(a, b):
+def _cross(a: Float[Array, "3 *n"], b: Float[Array, "3 *n"]) -> Float[Array, "3 *n"]:
     return jnp.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
