@@ -6,6 +6,7 @@ import tomllib
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
@@ -14,7 +15,7 @@ pin = pytest.importorskip("pinocchio")
 from state_files import leftovers  # noqa: E402
 
 from bench.robot_motion import main as make_log  # noqa: E402
-from jaxcap import robots  # noqa: E402
+from jaxcap import plotting, robots  # noqa: E402
 from jaxcap.commands.cli import main  # noqa: E402
 
 
@@ -89,6 +90,9 @@ def test_help_and_what_is_missing(capsys):
     assert main(["states", "--help"]) == 0
     said = capsys.readouterr().out
     assert all(name in said for name in (*robots.known_layouts(), *robots.ROBOTS))
+    assert main(["view", "--help"]) == 0
+    said += capsys.readouterr().out
+    assert max(len(line) for line in said.splitlines() if not line.startswith("usage")) <= 80
     assert main(["states", "--robot", "g1", "-o", "a.parquet"]) == 2
     assert "LOG is missing" in capsys.readouterr().err
 
@@ -124,6 +128,27 @@ def test_those_extras_have_all_that_the_commands_import():
     assert any(package.startswith("pyyaml") for package in extras["cli"])
 
 
+def test_a_scored_log_is_drawn_with_the_names_of_its_feet(log, tmp_path, capsys, monkeypatch):
+    pytest.importorskip("matplotlib")
+    states, scores, drawn = tmp_path / "states.parquet", tmp_path / "scores.parquet", []
+    assert main(["states", str(log), "--robot", "g1", "-o", str(states)]) == 0
+    assert main(["plot", str(states)]) == 2
+    assert "states.parquet: scores has the columns t, episode, contact_mask (expected 'margin'" in capsys.readouterr().err
+    table = pq.read_table(states)
+    table = table.append_column("margin", pa.array(np.linspace(-1, 1, len(table))))
+    pq.write_table(table.append_column("case", pa.array(np.zeros(len(table), np.int8))), scores)
+    draw = plotting.timeline
+    monkeypatch.setattr(plotting, "timeline", lambda *given: drawn.append(draw(*given)) or drawn[-1])
+    assert main(["plot", str(scores)]) == 0
+    assert (tmp_path / "scores.png").read_bytes()[1:4] == b"PNG" and not leftovers(tmp_path)
+    (_, _, contacts), feet = drawn[-1], [*robots.load("g1").patches]
+    assert [label.get_text() for label in contacts.get_yticklabels()] == feet
+    assert main(["plot", str(scores), "-o", str(tmp_path / "a.png"), "--x", "com_x"]) == 2
+    assert "is a log (--quantity, --x, --y and --select are for maps)" in capsys.readouterr().err
+    assert main(["plot", str(log.with_suffix(".parquet"))]) == 2
+    assert "walk.parquet: cannot be read as Parquet" in capsys.readouterr().err
+
+
 def test_options_of_a_log_need_a_robot(log, tmp_path, capsys):
     assert main(["score", str(log), "-o", str(tmp_path / "a.parquet"), "--friction", "0.3"]) == 2
     assert "--friction says how a log is read (expected with --robot)" in capsys.readouterr().err
@@ -141,3 +166,7 @@ def test_score_does_both_steps_at_once(log, tmp_path, capsys):
     for name in first:
         np.testing.assert_array_equal(first[name], second[name])
     assert first["capturable"].any() and not leftovers(tmp_path)
+    said = json.loads(pq.read_schema(two).metadata[b"jaxcap"])  # what was read as what goes on into the scores
+    assert said["read"]["layout"]["name"] == "lafan1_g1" and said["read"]["notes"] == [] and said["case"]["C1"] == 0
+    assert main(["plot", str(two)]) == 0
+    assert (tmp_path / "two.png").read_bytes()[1:4] == b"PNG"

@@ -1,4 +1,4 @@
-"""`jaxcap plot`: a picture of a kernel map. Importing this module needs tyro (extra `cli`)."""
+"""`jaxcap plot`: a picture of a kernel map, or of a scored log. Importing this module needs tyro (extra `cli`)."""
 
 import math
 import sys
@@ -10,23 +10,29 @@ from typing import Annotated, Any
 import tyro
 
 from jaxcap.commands.options import named_values
+from jaxcap.commands.states import said_of_log
 from jaxcap.contacts.contact_set import ContactSet
 from jaxcap.errors import InputError, needs_extra
 from jaxcap.files.contact_files import read_contact_sets
 from jaxcap.files.whole_file import check_output, whole_file
 from jaxcap.maps.grid import AXES
 
-PLOT = """Draw a kernel map: where a robot can stop, and which pushes it stands.
+PLOT = """Draw a kernel map, or a scored log over time.
 
 EXAMPLES
   jaxcap map feet.yaml -o kernel.zarr
   jaxcap plot kernel.zarr                    # kernel.png
   jaxcap plot kernel.zarr -o left.pdf --select heading=90deg
   jaxcap plot all.zarr -o margin.png --quantity margin --x com_x --y speed
+  jaxcap plot scores.parquet                 # a log: scores.png
 
-MAP is what jaxcap map writes, Zarr (.zarr) or netCDF (.nc).
+MAP is what jaxcap map writes (.zarr, .nc), or jaxcap score of a log (.parquet).
 
-WITHOUT OPTIONS
+A LOG
+  Margin, how each state ends, and which feet touch, over time; episodes follow
+  each other, with a line between them.
+
+A MAP WITHOUT OPTIONS
   A map with max_speed over com_x, com_y and heading becomes two pictures of the
   stance from above. Left: the largest CoM speed that can be stopped, whatever
   its heading, over the CoM's position; zero outside the support polygon. Right:
@@ -52,6 +58,8 @@ EXIT CODES
 """What `jaxcap plot --help` says above the list of options; its first line also stands in `jaxcap --help`."""
 
 FIGURES = (".png", ".pdf", ".svg")
+OF_LOG = ("t", "episode", "margin", "case", "contact_mask")
+"""Columns of a scored log that are drawn."""
 DOTS = 200
 """Dots per inch of a PNG."""
 
@@ -71,7 +79,7 @@ def plot(
     Raises InputError before anything is drawn if an option or a file cannot be used, and MissingExtra.
 
     Args:
-        map_file: Map to draw, .zarr or .nc.
+        map_file: Map to draw, .zarr or .nc, or scored log, .parquet.
         output: Figure to write, .png, .pdf or .svg; by default MAP with the extension .png.
         quantity: What to draw; by default the margin, or max_speed, or the first quantity of the map.
         x: Axis of the map that goes to the right; by default the first.
@@ -79,24 +87,55 @@ def plot(
         select: Value of another axis; as often as needed.
         force: Overwrite FIGURE if it exists.
     """
-    from jaxcap.plotting.map_figure import map_figure
-    from jaxcap.plotting.words import value_of
-
     output = map_file.with_suffix(".png") if output is None else output
-    check_output(output, force=force, extensions=FIGURES)
-    selection = _selection(select)
-    with _opened(map_file) as dataset:
-        sets = _contact_sets(map_file, dataset.attrs)
-        try:
-            figure, chosen = map_figure(dataset, sets, quantity, (x, y), selection)
-        except ValueError as error:
-            raise InputError(f"{map_file}: {error}") from error
-        for name, value in chosen.items():
-            shown, size = value_of(dataset[name].sel({name: value})), dataset.sizes[name]
-            print(f"note: {map_file}: {name} = {shown}, one of {size} (--select {name}=...)", file=sys.stderr)
+    check_output(output, force=force, extensions=FIGURES, inputs=(map_file,) if map_file.is_file() else ())
+    if map_file.suffix.lower() == ".parquet":
+        if quantity or x or y or select:
+            raise InputError(f"{map_file}: is a log (--quantity, --x, --y and --select are for maps)")
+        figure = _log(map_file)
+    else:
+        figure = _map(map_file, quantity, (x, y), _selection(select))
     with whole_file(output, force=force) as handle:
         figure.savefig(handle, format=output.suffix[1:].lower(), dpi=DOTS)
     print(output)
+
+
+def _map(path: Path, quantity: str | None, axes: tuple[str | None, str | None], selection: dict[str, float]) -> Any:
+    """The figure of a map; what was chosen for the reader is a note."""
+    from jaxcap.plotting.map_figure import map_figure
+    from jaxcap.plotting.words import value_of
+
+    with _opened(path) as dataset:
+        sets = _contact_sets(path, dataset.attrs)
+        try:
+            figure, chosen = map_figure(dataset, sets, quantity, axes, selection)
+        except ValueError as error:
+            raise InputError(f"{path}: {error}") from error
+        for name, value in chosen.items():
+            shown, size = value_of(dataset[name].sel({name: value})), dataset.sizes[name]
+            print(f"note: {path}: {name} = {shown}, one of {size} (--select {name}=...)", file=sys.stderr)
+    return figure
+
+
+def _log(path: Path) -> Any:
+    """The figure of a scored log, its contacts by the names of the patches that the file tells."""
+    from jaxcap.plotting import timeline
+
+    with needs_extra("data", "reading scores"):
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+    try:
+        schema = pq.read_schema(path)
+        table = pq.read_table(path, columns=[name for name in OF_LOG if name in schema.names])
+    except (OSError, pa.ArrowException) as error:
+        raise InputError(f"{path}: cannot be read as Parquet: {error}") from error
+    patches = said_of_log(schema.metadata or {}).get("read", {}).get("patches", {})
+    sizes = {name: 4 if patch["half_length"] or patch["half_width"] else 1 for name, patch in patches.items()}
+    try:
+        axes = timeline({name: table[name].to_pylist() for name in table.column_names}, sizes or None)
+    except ValueError as error:
+        raise InputError(f"{path}: {error}") from error
+    return axes[0].figure
 
 
 def _selection(given: tuple[str, ...]) -> dict[str, float]:

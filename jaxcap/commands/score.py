@@ -14,7 +14,7 @@ from tqdm import tqdm
 
 from jaxcap.commands.compile_cache import compilation_cache
 from jaxcap.commands.scorers import Scorer, scorer_of
-from jaxcap.commands.states import LogOptions, states_of_log
+from jaxcap.commands.states import LogOptions, said_of_log, states_of_log
 from jaxcap.commands.summary import Summary
 from jaxcap.contacts.contact_set import ContactSet
 from jaxcap.contacts.conventions import GRAVITY
@@ -94,7 +94,7 @@ def score(
         metadata = describe(described, GRAVITY, sides, np.dtype(dtype), fields, **more)
         run = _Run(answer, scorer, strict)
         options: dict[str, Any] = {"fields": fields, "about": source.about, "force": force}
-        with write_scores(output, source.types, metadata, dtype, **options) as sink:
+        with write_scores(output, source.types, metadata | said_of_log(source.about), dtype, **options) as sink:
             run.all(source, sink)
     for note in run.notes():
         print(f"note: {states}: {note}", file=sys.stderr)

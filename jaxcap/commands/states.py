@@ -3,9 +3,10 @@
 """
 
 import dataclasses
+import json
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -30,18 +31,20 @@ EXAMPLES
   jaxcap states log.npz --robot anymal --layout mine.yaml -o states.parquet
   jaxcap states --robot g1 --print-feet            # where it can touch, as YAML
 
-LOG is a file or a folder: NPZ, CSV, Parquet, HDF5, JSON, pickles (never
-executed: arrays and plain containers alone), ROS 2 bags in MCAP, LeRobot
-datasets. It needs the pose of the base and the positions of the joints.
+LOG
+  A file or a folder: NPZ, CSV, Parquet, HDF5, JSON, pickles (never executed:
+  arrays and plain containers alone), ROS 2 bags in MCAP, LeRobot datasets. It
+  needs the pose of the base and the positions of the joints.
 
-ROBOT is a name (talos, g1, romeo, anymal, solo, go1, go2), or a URDF or MJCF
-file.
+ROBOT
+  A name (talos, g1, romeo, anymal, solo, go1, go2), or a URDF or MJCF file.
 
-LAYOUT says which field is what, in which convention. Those of public
-recorders have names, and are recognised by their fields where these leave no
-doubt: lafan1_g1, asap, gmr, beyondmimic, beyondmimic_xyzw, mjlab, isaac_amp,
-isaac_lab, isaac_lab_2, mujoco, tienkung, ros2, lerobot, named_columns,
-named_parquet. An own one is a YAML file:
+LAYOUT
+  Which field is what, in which convention. Those of public recorders have
+  names, and are recognised by their fields where these leave no doubt:
+  lafan1_g1, asap, gmr, beyondmimic, beyondmimic_xyzw, mjlab, isaac_amp,
+  isaac_lab, isaac_lab_2, mujoco, tienkung, ros2, lerobot, named_columns,
+  named_parquet. An own one is a YAML file:
     format: npz                 # npz csv parquet hdf5 json pickle mcap lerobot
     time: t                     # [s]; or rate: 50, or step: 0.02
     base_position: root_pos     # or root[0:3], or [x, y, z]
@@ -58,8 +61,9 @@ named_parquet. An own one is a YAML file:
     up: z                       # or y
   What is not said is asked for, not guessed.
 
-FEET is YAML, as --print-feet prints it: patches (or points, or balls) of the
-robot's links. By default they are known, or found from the collision shapes.
+FEET
+  YAML, as --print-feet prints it: patches (or points, or balls) of the robot's
+  links. By default they are known, or found from the collision shapes.
 
 CONTACTS
   By flags, if they are logged. Else a patch touches when its lowest point is
@@ -201,6 +205,19 @@ def states_of_log(log: Path, robot: str | None, options: LogOptions, output: Pat
         for note in opened.notes:
             print(f"note: {note}", file=sys.stderr)
         yield file
+
+
+def said_of_log(about: Mapping[bytes, bytes]) -> dict[str, Any]:
+    """What `jaxcap states` wrote into a file's metadata of how the log was read, and what it noted: for what is made of it.
+
+    Args:
+        about: The metadata of a Parquet file; of any other kind, or of other states, nothing is said.
+    """
+    try:
+        said = json.loads(about.get(b"jaxcap", b"{}"))
+        return {"read": {"notes": said.get("notes", [])} | said["read"]} if said.get("read") else {}
+    except (ValueError, AttributeError, TypeError):
+        return {}  # not ours
 
 
 def write_states(log: "Log", output: Path, *, force: bool) -> int:

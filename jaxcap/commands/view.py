@@ -20,9 +20,10 @@ EXAMPLES
   jaxcap score states.parquet -o scores.parquet
   jaxcap view scores.parquet --robot g1
 
-STATES is Parquet, what jaxcap states wrote, or jaxcap score of that: then the
-CoM is green where the state is capturable and red where it is not, and the
-margin is told. A slider chooses the row.
+STATES
+  Parquet, what jaxcap states wrote, or jaxcap score of that: then the CoM is
+  green where the state is capturable and red where it is not, and the margin
+  is told. A slider chooses the row.
 
 SHOWN
   The robot by its visual meshes, where they are there (else, or with --rods,
