@@ -4,14 +4,16 @@ from itertools import permutations
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
-pytest.importorskip("pinocchio")
+pin = pytest.importorskip("pinocchio")
 
-from bench import log_mutations
-from bench.robot_motion import main, motion
-from jaxcap import robots
-from jaxcap.errors import InputError
-from jaxcap.robots import checks
+from bench import log_mutations  # noqa: E402
+from bench.robot_motion import main, motion  # noqa: E402
+from jaxcap import robots  # noqa: E402
+from jaxcap.errors import InputError  # noqa: E402
+from jaxcap.robots import checks  # noqa: E402
+from jaxcap.robots.slip import slips  # noqa: E402
 
 
 def test_none_of_a_few_passes_in_silence():
@@ -39,15 +41,43 @@ def test_a_quadruped_s_legs_in_any_other_order_are_noted():
 
 
 def test_legs_that_do_not_undo_what_the_base_does_slip():
-    touching, slips = np.ones((20, 2), bool), np.full((20, 2), 0.01)
-    slips[:9, 1] = 0.9
-    assert checks.check_slips(touching, slips, ["a", "b"]) == []  # in fewer than half of the rows
-    slips[:11, 1] = 0.9
-    (found,) = checks.check_slips(touching, slips, ["a", "b"])
+    shares = np.full((20, 2), 0.01)
+    shares[:9, 1] = 0.9
+    assert checks.check_slips(shares, ["a", "b"]) == []  # in fewer than half of the rows
+    shares[:11, 1] = 0.9
+    (found,) = checks.check_slips(shares, ["a", "b"])
     assert found.kind == "slip" and found.words.startswith("'b' slips while it touches: 90%") and not found.refused
-    touching[:11, 1] = False  # not while it touches
-    assert checks.check_slips(touching, slips, ["a", "b"]) == []
-    assert checks.check_slips(touching, np.full((20, 2), np.nan), ["a", "b"]) == []  # it stands
+    assert checks.check_slips(np.full((20, 2), np.nan), ["a", "b"]) == []
+
+
+def test_how_far_a_foot_slips():
+    """A base that moves ahead and turns: over a foot at rest, with a foot that it carries along, and over one that lifts."""
+    time = np.arange(30) / 50
+    q = np.zeros((30, 8))
+    q[:, 0], q[:, 5:7] = 0.5 * time, np.stack([np.sin(time / 2), np.cos(time / 2)], axis=1)
+    base = Rotation.from_quat(q[:, 3:7])
+    rests, carried = np.tile([0.1, 0.2, 0.0], (30, 1)), q[:, :3] + base.apply([0.1, 0.2, 0.0])
+    touching = np.ones((30, 3), bool)
+    touching[12, 2] = False
+    shares = slips(q, np.stack([rests, carried, rests], axis=1), touching, 10)
+    assert shares.shape == (20, 3)
+    np.testing.assert_allclose(shares[:, 0], 0, atol=1e-12)
+    np.testing.assert_allclose(shares[:, 1], 1, atol=1e-12)
+    np.testing.assert_array_equal(np.isnan(shares[:, 2]), np.isin(np.arange(20), range(2, 13)))
+    feet = np.tile(rests[:, None], (1, 3, 1))
+    assert np.isnan(slips(np.tile(q[:1], (30, 1)), feet, touching, 10)).all()  # it stands still
+    assert not len(slips(q[:5], feet[:5], touching[:5], 10))
+
+
+@pytest.mark.parametrize("name", ["g1", "anymal"])
+def test_a_robot_that_stands_among_noise_does_not_slip(name):
+    """1 mm and 1 mrad in every row, at rest and stepping, velocities by differences."""
+    robot, one = robots.load(name), motion(name, seconds=2.0)
+    rng = np.random.default_rng(0)
+    for still in (True, False):
+        rows = np.tile(one.q[:1], (len(one.q), 1)) if still else one.q
+        q = np.array([pin.integrate(robot.model, row, 1e-3 * rng.normal(size=robot.model.nv)) for row in rows])
+        robots.states_of(robot, one.time, q, strict=True)
 
 
 def test_a_robot_that_stands_beside_its_feet_is_noted():

@@ -22,6 +22,7 @@ from jaxcap.robots.ground import Flat, Ground, read_ground
 from jaxcap.robots.layouts import Layout, layout_of
 from jaxcap.robots.models import Robot, load
 from jaxcap.robots.motion import Rows, Source, Velocities
+from jaxcap.robots.slip import SPAN, slips
 from jaxcap.robots.touch import Touching, decided, lasting
 from jaxcap.robots.whole_body import Points, Soles, WholeBody, whole_body
 
@@ -177,6 +178,7 @@ class _Stepper:
         time = source.read(0, min(source.rows, 100)).time
         step = float(np.median(np.diff(time))) if len(time) > 1 else 1.0
         self._dwell = int(np.ceil(options.touching.dwell / step - 1e-9)) if step > 0 else 1
+        self._apart = max(1, round(SPAN / step)) if step > 0 else 1
         self._halo = 2 * self._dwell + options.smooth + 2
         self._before = np.zeros(len(robot.patches), dtype=bool)
 
@@ -206,7 +208,8 @@ class _Stepper:
         owner = self._points.patch
         mask = touching[:, owner] & (body.feet.heights - soles.heights[:, owner] < options.touching.level)
         findings += checks.check_contacts(touching)
-        findings += checks.check_slips(touching, soles.slips, list(self._robot.patches))
+        slipping = slips(rows.configurations, self._points.centres(body.feet), touching, self._apart)
+        findings += checks.check_slips(slipping, list(self._robot.patches))
         findings += checks.check_support(body.states.com, body.feet.points, mask)
         keep = slice(start - low, stop - low)
         return _states(rows, body, mask, options.friction, keep, start), findings

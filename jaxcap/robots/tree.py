@@ -17,8 +17,6 @@ Rows = Float[np.ndarray, "n _"]
 Vectors = Float[np.ndarray, "3 n"]
 Rotations = Float[np.ndarray, "3 3 n"]
 
-BASE = 1
-"""The joint that moves freely: the first after the world."""
 BLOCK = 512
 """States that are computed at a time: their links fit into the cache."""
 

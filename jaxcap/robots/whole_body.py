@@ -9,10 +9,8 @@ from jaxtyping import Bool, Float, Int
 from jaxcap.robots.centroidal import CentroidalStates, momentum
 from jaxcap.robots.ground import Ground
 from jaxcap.robots.patches import ContactPatch, Patches
-from jaxcap.robots.tree import BASE, BLOCK, Link, Vectors, links
+from jaxcap.robots.tree import BLOCK, Link, links
 
-STIRRED = 0.1
-"""Where base and joints move a point less than this, whether it slips is not asked [m/s]."""
 STEEP = 0.1
 """A tangent shorter than this, projected onto the ground, says nothing."""
 
@@ -30,10 +28,6 @@ class Feet(NamedTuple):
     """Columns: along the patch's length, along its width, the ground's normal."""
     tilts: Float[np.ndarray, "n k"]
     """Cosine between the normals of patch and ground."""
-    slips: Float[np.ndarray, "n k"]
-    """How fast a point moves along the ground, as a share of what base and joints each move it: 0 where it is at rest, and
-    the leg undoes what the base does; near 1 where they know nothing of each other. NaN where both hardly move.
-    """
 
     def on_floor(self, height: float) -> "Feet":
         """The same feet over a level floor there [m], where these are over one at zero."""
@@ -50,8 +44,6 @@ class Soles(NamedTuple):
     """[m/s]"""
     tilts: Float[np.ndarray, "n p"]
     """Cosine between the normals of patch and ground."""
-    slips: Float[np.ndarray, "n p"]
-    """As in `Feet`."""
 
 
 class WholeBody(NamedTuple):
@@ -76,13 +68,18 @@ class Points(NamedTuple):
         flat = [not patch.is_point for patch in patches.values()]
         return Points(np.repeat(np.arange(len(sizes)), sizes), np.array(flat, dtype=bool))
 
+    def centres(self, feet: Feet) -> Float[np.ndarray, "n p 3"]:
+        """The middle of each patch [m]."""
+        places = feet.points + feet.heights[..., None] * [0.0, 0.0, 1.0]
+        return np.stack([places[:, self.patch == patch].mean(axis=1) for patch in range(len(self.flat))], axis=1)
+
     def soles(self, feet: Feet) -> Soles:
         """The patches by their lowest points."""
         found = []
         for patch in range(len(self.flat)):
             mine = self.patch == patch
             lowest = np.nan_to_num(feet.heights[:, mine], nan=np.inf).argmin(axis=1)[:, None]
-            those = (feet.heights, feet.speeds, feet.tilts, feet.slips)
+            those = (feet.heights, feet.speeds, feet.tilts)
             found.append([np.take_along_axis(each[:, mine], lowest, axis=1)[:, 0] for each in those])
         return Soles(*(np.stack(parts, axis=1) for parts in zip(*found, strict=True)))
 
@@ -121,24 +118,15 @@ def _foot(model: pin.Model, found: list[Link], patch: ContactPatch, ground: Grou
     places = [place - patch.radius * below for place in places]
     along = rotation[:, 0] if not patch.is_point else np.broadcast_to(np.array([[1.0], [0], [0]]), below.shape)
     under = [ground.under(place.T[:, :2]) for place in places]
-    moved = [(link.velocity(place), found[BASE].velocity(place)) for place in places]
     return Feet(
         points=np.stack(
             [np.column_stack([place.T[:, :2], here.height]) for place, here in zip(places, under, strict=True)], 1
         ),
         heights=np.stack([place[2] - here.height for place, here in zip(places, under, strict=True)], axis=1),
-        speeds=np.stack([np.linalg.norm(velocity, axis=0) for velocity, _ in moved], axis=1),
+        speeds=np.stack([np.linalg.norm(link.velocity(place), axis=0) for place in places], axis=1),
         frames=np.stack([_frames(here.normal, along.T) for here in under], axis=1),
         tilts=np.stack([(rotation[:, 2].T * here.normal).sum(axis=1) for here in under], axis=1),
-        slips=np.stack([_slips(*pair, here.normal.T) for pair, here in zip(moved, under, strict=True)], axis=1),
     )
-
-
-def _slips(velocity: Vectors, carried: Vectors, normal: Vectors) -> Float[np.ndarray, " n"]:
-    """How much of a point's motion does not cancel along the ground. carried: its velocity if no joint moved."""
-    along = velocity - (velocity * normal).sum(axis=0) * normal
-    stirred = np.linalg.norm(carried, axis=0) + np.linalg.norm(velocity - carried, axis=0)
-    return np.where(stirred > STIRRED, np.linalg.norm(along, axis=0) / np.maximum(stirred, STIRRED), np.nan)
 
 
 def _frames(normals: Float[np.ndarray, "n 3"], along: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3 3"]:
