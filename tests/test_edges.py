@@ -27,8 +27,8 @@ KNOWN_WRONG = {
     ("faces", np.float32): {"fuzz_3_point_any_float32_undec-r_1"},
     ("rays", np.float32): {"fuzz_3_point_any_float32_undec-r_1", "fuzz_2_nearflat_float32_undec-r_1"},
 }
-"""Entries that single precision still gets wrong: a CoM 1 m below a contact, to 1e-8 m, that moves straight up but for an angle
-of 1e-5; and a contact set 0.2 mm wide. Whoever mends one takes it from here: the test asks for this list and no other."""
+"""Entries that single precision still gets wrong: a CoM 1 m below a contact, to 1e-8 m, that moves straight up but for an
+angle of 1e-5; and a contact set 0.2 mm wide. Whoever mends one takes it from here: the test asks for this list alone."""
 ENTRIES = json.loads((Path(__file__).parent / "edges.json").read_text())
 forms = pytest.mark.parametrize("form", ["faces", "rays"])
 precisions = pytest.mark.parametrize("dtype", DTYPES, ids=lambda dtype: dtype.__name__)

@@ -273,7 +273,7 @@ def _checked(program: Program, state: SimplexState) -> SimplexState:
     """Where pivots have spoilt an inverse beyond repair, its end was none: from a new one the search goes on.
 
     So it does, once, with a better inverse where z falls without end: errors of the inverse may look like a way to fall. And
-    once from the very beginning where it has found no end: on another way it may meet no pivot that is too small to be taken.
+    once from the very beginning where it has found no end: another way may lead past the pivots that are too small.
     """
     solution, late = state.solution, state.steps >= MAX_PIVOTS
     better, error = _newton(program, solution.basis)

@@ -20,7 +20,7 @@ from jaxcap.one_state.wrench_line import WrenchLine, wrench_line
 
 
 class Polygon(NamedTuple):
-    """All (alpha, acceleration) with `on_acceleration * (acceleration - fall) + on_alpha * alpha <= beyond`, row by row, (11).
+    """All (alpha, acceleration) with on_acceleration * (acceleration - fall) + on_alpha * alpha <= beyond, row by row, (11).
 
     alpha is the distance along the line of travel from the start [m], acceleration is along the line [m/s^2].
     """

@@ -57,7 +57,7 @@ class WrenchLine(NamedTuple):
     positions themselves may be rounded by, which is more where they are far from the world's origin [-]."""
 
     def slack_at(self, beyond: Float[Array, "*n"]) -> Float[Array, "*n"]:
-        """By how much a face may be missed at an acceleration so far beyond free fall [m/s^2]: relative to the force there."""
+        """By how much a face may be missed at an acceleration so far beyond free fall [m/s^2]: relative to its force."""
         return self.slack * (jnp.abs(beyond) + self.sideways)
 
 
