@@ -11,9 +11,11 @@ from jaxcap.batch.blocks import BLOCK, RAYS_BLOCK, block_of, over_blocks, padded
 from jaxcap.batch.devices import Spread, spread_over
 from jaxcap.batch.rounds import Shared, States, scored_block
 from jaxcap.batch.second_opinion import decided
+from jaxcap.contacts.actuation import ActuatedRays, Actuation, actuated
 from jaxcap.contacts.cone import CentroidalCone, ConeRays
 from jaxcap.contacts.conventions import GRAVITY, ArrayLike, checked_gravity
 from jaxcap.contacts.scoring_input import check_cone, relative, rounded
+from jaxcap.one_state.line import Cone
 from jaxcap.one_state.result import Capturability
 
 
@@ -23,6 +25,9 @@ def score(
     com_velocities: ArrayLike,
     gravity: ArrayLike = GRAVITY,
     neighbours: bool = False,
+    *,
+    actuation: Actuation | None = None,
+    momentum_box: ArrayLike = 0.0,
 ) -> Capturability:
     """`capturability` of many states.
 
@@ -38,6 +43,9 @@ def score(
         gravity: (3,) [m/s^2].
         neighbours: rows that follow each other are similar states, as along a trajectory or on a grid, and rays start each
             from the one before (a warm start); the answers are the same but for rounding.
+        actuation: what the robot's joints can bear, in one posture or in one for each state; with rays only.
+        momentum_box: how much the rate of angular momentum per unit mass may differ from what braking brings about, in each
+            component, >= 0 [m^2/s^2]; one number, or (n,). Other than zero with rays only.
 
     Returns:
         Every field has shape (n,). The inputs' dtype decides the precision, as far as JAX's x64 switch allows. A state with
@@ -45,7 +53,8 @@ def score(
         contacts next to flat) is answered by faces on the host, for 1,000 states of a call at most, outside transformations.
 
     Raises:
-        TypeError: for wrong shapes, or contacts in place of a cone.
+        TypeError: for wrong shapes, contacts in place of a cone, or an actuation of other contacts.
+        ValueError: for a momentum box that is negative or not finite.
 
     Source: Section III, as `capturability`.
     """
@@ -54,13 +63,21 @@ def score(
     _check_shapes(cone, coms, com_velocities)
     cone, coms = relative(cone, coms)
     coms, com_velocities = jnp.asarray(rounded(coms)), jnp.asarray(rounded(com_velocities))
-    own = cone if isinstance(cone, ConeRays) and cone.batched else None
+    limited = _limited(cone, actuation, momentum_box, len(coms))
+    own = limited if isinstance(limited, ConeRays | ActuatedRays) and limited.batched else None
     states = States(coms, com_velocities, own)
-    shared = Shared(jnp.asarray(gravity, jnp.result_type(coms, jnp.float32)), None if own else padded_cone(cone))
+    common = None if own else limited if isinstance(limited, ActuatedRays) else padded_cone(limited)
+    shared = Shared(jnp.asarray(gravity, jnp.result_type(coms, jnp.float32)), common)
     if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves((states, shared.cone))):
         return scored_block(shared, states, neighbours)
     found = _over_devices(shared, states, neighbours)
-    return decided(cone, coms, com_velocities, gravity, found) if isinstance(cone, ConeRays) else found
+    return decided(limited, coms, com_velocities, gravity, found) if isinstance(limited, ConeRays) else found
+
+
+def _limited(cone: CentroidalCone | ConeRays, actuation: Any, momentum_box: Any, n: int) -> Cone:
+    """The cone, with the robot's limits if there are any."""
+    none = actuation is None and not isinstance(momentum_box, jax.core.Tracer) and not np.any(np.asarray(momentum_box) != 0)
+    return cone if none else actuated(cone, actuation, momentum_box, n)
 
 
 def _over_devices(shared: Shared, states: States, neighbours: bool) -> Capturability:

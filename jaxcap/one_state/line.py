@@ -9,14 +9,18 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int8, Num
 
+from jaxcap.contacts.actuation import ActuatedRays
 from jaxcap.contacts.cone import CentroidalCone, ConeRays
 from jaxcap.contacts.conventions import GRAVITY, ArrayLike
 from jaxcap.numerics.guarded import direction, tolerances
+from jaxcap.one_state.actuated_polygon import actuated_polygon
 from jaxcap.one_state.boundary import Boundary, End
 from jaxcap.one_state.face_polygon import polygon
 from jaxcap.one_state.polygon import Producer, Survey
 from jaxcap.one_state.ray_polygon import ray_polygon
 
+Cone = CentroidalCone | ConeRays | ActuatedRays
+"""What a state may be scored by."""
 QUICK = 2
 """Pieces of the lower boundary that the quick round walks: all there are for two states of three."""
 
@@ -64,7 +68,7 @@ class _Cut(NamedTuple):
 
 
 def motion_of_lanes(
-    cone: CentroidalCone | ConeRays,
+    cone: Cone,
     com: Num[Array, "3 *n"],
     com_velocity: Num[Array, "3 *n"],
     gravity: ArrayLike,
@@ -82,7 +86,7 @@ def motion_of_lanes(
 
 @jax.jit
 def survey_of_lanes(
-    cone: CentroidalCone | ConeRays,
+    cone: Cone,
     com: Num[Array, "3 *n"],
     com_velocity: Num[Array, "3 *n"],
     gravity: ArrayLike,
@@ -92,21 +96,33 @@ def survey_of_lanes(
     return _cut(cone, com, com_velocity, gravity).polygon.survey(near)
 
 
-def _cut(cone: CentroidalCone | ConeRays, com: Array, com_velocity: Array, gravity: ArrayLike) -> _Cut:
+def _cut(cone: Cone, com: Array, com_velocity: Array, gravity: ArrayLike) -> _Cut:
     dtype = jnp.promote_types(jnp.result_type(com, com_velocity), jnp.float32)
     com, com_velocity, pull = com.astype(dtype), com_velocity.astype(dtype), jnp.asarray(gravity, dtype)
     pulls = jnp.all(jnp.isfinite(pull))
     finite = jnp.all(jnp.isfinite(com) & jnp.isfinite(com_velocity), axis=0) & pulls & _finite_cone(cone)
     along, speed = direction(jnp.where(finite, com_velocity, 0))
-    cut: Any = ray_polygon if isinstance(cone, ConeRays) else polygon
+    cut = _producer(cone)
     # What is not finite gives way to numbers, of which the walk can make sense.
     found = cut(cone, jnp.where(finite, com, 0), along, jnp.where(pulls, pull, jnp.asarray(GRAVITY, dtype)))
     near = tolerances(dtype).slack * found.size <= FARTHEST * jnp.asarray(cone.length, dtype)
     return _Cut(found, speed, finite & near & (speed <= FASTEST))
 
 
-def _finite_cone(cone: CentroidalCone | ConeRays) -> Bool[Array, "*n"]:
-    """Whether faces or rays are numbers, lane by lane."""
+def _producer(cone: Cone) -> Any:
+    """What makes a polygon of it."""
+    if isinstance(cone, ActuatedRays):
+        return actuated_polygon
+    return ray_polygon if isinstance(cone, ConeRays) else polygon
+
+
+def _finite_cone(cone: Cone) -> Bool[Array, "*n"]:
+    """Whether faces or rays, and what the robot can do with them, are numbers, lane by lane."""
+    if isinstance(cone, ActuatedRays):
+        posture = cone.actuation
+        known = jnp.where(posture.mask, jnp.isfinite(posture.gravity_torque) & jnp.isfinite(posture.limit), True)
+        moves = jnp.all(jnp.isfinite(posture.jacobians), axis=(0, 1, 2))
+        return _finite_cone(cone.rays) & jnp.all(known, axis=0) & moves & jnp.isfinite(cone.momentum_box)
     rows = cone.rays if isinstance(cone, ConeRays) else jnp.asarray(cone.faces)
     return jnp.all(jnp.isfinite(rows), axis=(0, 1)) & jnp.all(jnp.isfinite(jnp.asarray(cone.origin)), axis=0)
 

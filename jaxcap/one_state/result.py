@@ -80,6 +80,9 @@ class Capturability(NamedTuple):
     """Duration of that manoeuvre [s], NaN where there is no stop."""
     residual_speed: Float[Array, "..."]
     """Speed that is left where the walk ends in C1 or C2 [m/s], zero where it stops."""
+    effort: Float[Array, "..."]
+    """Share of the robot's torque limits that holding still takes where it is [-]; above one the posture cannot be held, and
+    is not capturable. Infinite where no torques hold it; NaN without actuation."""
 
     def __repr__(self) -> str:
         """A line: one state's answer, or how many of many can stop, and their margins."""
@@ -89,6 +92,8 @@ class Capturability(NamedTuple):
         capturable, margin, status = (np.asarray(field) for field in (self.capturable, self.margin, self.status))
         if capturable.ndim == 0:
             figures = {name: float(getattr(self, name)) for name in self._fields[3:]}
+            if np.isnan(figures["effort"]):
+                del figures["effort"]  # it was not asked for
             said = "".join(f", {name}={value:.4g}" for name, value in figures.items())
             case, said_of = Case(int(self.case)).name, Status(int(status)).name
             return f"Capturability(capturable={bool(capturable)}, case={case}, status={said_of}{said})"
