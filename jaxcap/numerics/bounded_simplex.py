@@ -96,17 +96,23 @@ def columns(program: Program, index: Int[Array, "m *n"]) -> Float[Array, "m m *n
 
 @jax.custom_jvp
 def weights(
-    inverse: Float[Array, "m m *n"], matrix: Float[Array, "m m *n"], target: Float[Array, "m *n"]
-) -> Float[Array, "m *n"]:
-    """The weights of a basis with this matrix in the target; differentiable in matrix and target, not in the inverse."""
+    inverse: Float[Array, "k m *n"], found: Float[Array, "m *n"], matrix: Float[Array, "m m *n"], target: Float[Array, "m *n"]
+) -> Float[Array, "k *n"]:
+    """The weights of a basis with this matrix in the target; differentiable in matrix and target, not in the inverse.
+
+    Args:
+        inverse: all of its rows, or those of which the weights are wanted.
+        found: all weights, for the derivative.
+        matrix: of the columns.
+        target: what they add up to.
+    """
     return times(inverse, target)
 
 
 @weights.defjvp
 def _weights_jvp(primals, tangents):
-    (inverse, _, target), (_, matrix, moved) = primals, tangents
-    found = times(inverse, target)
-    return found, times(inverse, moved - times(matrix, found))
+    (inverse, found, _, target), (_, _, matrix, moved) = primals, tangents
+    return times(inverse, target), times(inverse, moved - times(matrix, found))
 
 
 def begun(program: Program) -> Basis:
@@ -206,13 +212,20 @@ def inverse_of(program: Program, basis: Basis) -> Basis:
 
 
 def improved(program: Program, basis: Basis) -> tuple[Basis, Float[Array, "*n"]]:
-    """The basis after a Newton step for its inverse, which pivots have spoilt, and the largest error before."""
+    """The basis with a better normal, and how far pivots have spoilt its inverse.
+
+    A Newton step for all of the inverse, as `simplex` has it, would cost as much as a dozen pivots of so many rows. What
+    matters is the normal, which gets its step, and the weights, by which the inverse is judged.
+    """
     matrix, inverse = columns(program, basis.chosen), basis.inverse
-    m = len(inverse)
-    product = sum(inverse[:, i, None] * matrix[None, i] for i in range(m))
-    error = jnp.eye(m, dtype=inverse.dtype).reshape(m, m, *[1] * (inverse.ndim - 2)) - product
-    better = inverse + sum(error[:, i, None] * inverse[None, i] for i in range(m))
-    return basis._replace(inverse=better), jnp.max(jnp.abs(error), axis=(0, 1))
+    aim = held_back(program, basis)
+    found = times(inverse, aim)
+    left = times(inverse, aim - times(matrix, found))
+    short = (_places(aim) == 0) - combination(inverse[0], matrix)
+    size = program.scale + jnp.max(jnp.abs(found), axis=0)
+    error = jnp.maximum(jnp.max(jnp.abs(left), axis=0) / size, jnp.max(jnp.abs(short), axis=0))
+    normal = inverse[0] + combination(short, inverse)
+    return basis._replace(inverse=jnp.concatenate([normal[None], inverse[1:]])), error
 
 
 class SimplexState(NamedTuple):
@@ -227,6 +240,8 @@ class SimplexState(NamedTuple):
     """A fall without end has been asked for once more."""
     checked: Bool[Array, ""]
     """All have come to an end with inverses that are to be trusted."""
+    room: Float[Array, "m *n"]
+    """The bounds of the unit columns in the basis; zero for rays."""
 
 
 def solve(program: Program, basis: Basis, active: Bool[Array, "*n"]) -> Solution:
@@ -236,7 +251,8 @@ def solve(program: Program, basis: Basis, active: Bool[Array, "*n"]) -> Solution
     """
     outcome = jnp.full(active.shape, Outcome.UNDECIDED, jnp.int32)
     solution = Solution(basis, outcome, jnp.zeros(active.shape, jnp.int32))
-    start = SimplexState(solution, active, ~active, jnp.int32(0), ~active, jnp.zeros((), bool))
+    room = of_units(program.bound, basis.chosen)
+    start = SimplexState(solution, active, ~active, jnp.int32(0), ~active, ~jnp.any(active), room)
     most = PIVOTS[0] + PIVOTS[1] * len(program.target)
 
     def one(state: SimplexState) -> SimplexState:
@@ -281,13 +297,14 @@ class Held(NamedTuple):
     """How far out of bounds is not."""
 
 
-def _held(program: Program, basis: Basis, flat: Bool[Array, "*n"], steps: Int[Array, ""], bland: int) -> Held:
+def _held(program: Program, state: SimplexState, bland: int) -> Held:
+    basis, flat, steps, bound = state.solution.basis, state.flat, state.steps, state.room
     bounds = tolerances(program.target.dtype)
     found = times(basis.inverse, held_back(program, basis))
     size = program.scale + jnp.max(jnp.abs(program.free), axis=0) * jnp.abs(found[0])
     late = jnp.maximum(steps - bland, 0) / 8
     zero = jnp.where(steps < bland, bounds.weight, (1 + late) * bounds.slack).astype(found.dtype) * size
-    unit, bound = basis.chosen <= UNIT, of_units(program.bound, basis.chosen)
+    unit = basis.chosen <= UNIT
     slack = jnp.where(flat & (bound == 0), jnp.maximum(bounds.slack * size, zero), zero)
     is_out = jnp.abs(found) > bound + slack
     missing = jnp.where(unit & is_out, jnp.sign(found), jnp.where((basis.chosen >= 0) & (found < -zero), -1, 0))
@@ -316,10 +333,10 @@ def column_at(rays: Float[Array, "m r *n"], basis: Basis, place: Int[Array, "*n"
 
 def _step(program: Program, state: SimplexState) -> SimplexState:
     """One pivot, one unit column from one of its bounds to the other, or the end."""
-    (basis, outcome, pivots), running, flat, steps, again, checked = state
+    (basis, outcome, pivots), running, flat, steps, again, checked, room = state
     bland = BLAND[0] + BLAND[1] * len(program.target)
     late = steps >= bland
-    held = _held(program, basis, flat, steps, bland)
+    held = _held(program, state, bland)
     normal = jnp.where(held.seeking, combination(held.missing, basis.inverse), normal_of(basis))
     # Stored before it is reduced, or XLA's CPU code computes each product again for every lane of the reduction.
     gain = jax.lax.optimization_barrier(jnp.concatenate([combination(normal, program.rays), -basis.side * normal]))
@@ -329,8 +346,8 @@ def _step(program: Program, state: SimplexState) -> SimplexState:
     entering = column_at(program.rays, basis, first_of(gain, jnp.where(late, enough, best)))
     direction = times(basis.inverse, entering.column)
     leaving, way, side = _leaving(basis, held, direction, late)
-    across = 2 * jnp.sum(jnp.where(entering.row, program.bound, 0), axis=0)
-    flips = improves & jnp.any(entering.row, axis=0) & (across <= way)
+    own = jnp.sum(jnp.where(entering.row, program.bound, 0), axis=0)
+    flips = improves & jnp.any(entering.row, axis=0) & (2 * own <= way)
     gives_way = jnp.any(leaving, axis=0)
     falls = ~held.seeking & (held.weights[0] < program.floor)
 
@@ -344,7 +361,8 @@ def _step(program: Program, state: SimplexState) -> SimplexState:
     basis = exchanged(basis, leaving, side, entering, direction, go)
     basis = basis._replace(side=jnp.where(flips & entering.row, -basis.side, basis.side))
     solution = Solution(basis, outcome.astype(jnp.int32), pivots + go)
-    return SimplexState(solution, go | flattens | (flips & ~falls), flat | flattens, steps + 1, again, checked)
+    room = jnp.where(leaving & go, own, room)
+    return SimplexState(solution, go | flattens | (flips & ~falls), flat | flattens, steps + 1, again, checked, room)
 
 
 def exchanged(

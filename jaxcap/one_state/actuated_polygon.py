@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from jaxcap.contacts.actuation import ActuatedRays, torque_columns
 from jaxcap.numerics import bounded_simplex as simplex
@@ -56,6 +56,7 @@ class ActuatedPolygon(NamedTuple):
     """
 
     rays: Float[Array, "m r *n"]
+    """The last one is zero: see `_first`."""
     per_acceleration: Float[Array, "m *n"]
     forward: Float[Array, "m *n"]
     """The same, moved a little into the cone where the acceleration holds the robot up: see `Load.target`."""
@@ -118,40 +119,56 @@ class ActuatedPolygon(NamedTuple):
         )
 
     def survey(self, near: Any = None) -> Survey:
-        """Static region, polygon at alpha = 0, and effort. near: not used."""
+        """Polygon at alpha = 0 and effort; the static region only where the CoM does not stand in it: see `completed`.
+
+        near: not used.
+        """
         fixed = jax.tree.map(jax.lax.stop_gradient, self)
+        lowest = fixed.at_start()
         everywhere = jnp.ones(self.fall.shape, bool)
-        programs = [fixed.at_start(), fixed.holding(), fixed.standing(-1), fixed.standing(1)]
-        start = simplex.solve(programs[0], simplex.begun(programs[0]), everywhere)
-        feasible = start.outcome != Outcome.INFEASIBLE
-        hold = simplex.solve(programs[1], simplex.renewed(programs[1], start.basis), everywhere)
-        least = simplex.solve(programs[2], simplex.renewed(programs[2], hold.basis), everywhere)
-        standing = least.outcome != Outcome.INFEASIBLE
-        most = simplex.solve(programs[3], simplex.renewed(programs[3], least.basis), standing & feasible)
-        bounded = lambda sign, found: jnp.where(
-            (found.outcome == Outcome.OPTIMAL) & (found.basis.chosen[0] == FREE), _place(self, sign, found.basis), -jnp.inf
+        outside = lambda found: ~(_effort(fixed, found) <= 1)
+        start, hold, least = _in_turn(
+            [lowest, fixed.holding(), fixed.standing(-1)],
+            [fixed.falling, Load(0 * fixed.at_rest.wrench, fixed.at_rest.target), fixed.at_rest],
+            simplex.begun(lowest),
+            [lambda _: everywhere, lambda _: everywhere, outside],
         )
-        s_min, s_max = bounded(-1, least), -bounded(1, most)
-        # Ends that meet, but for rounding, are one place.
-        middle = jnp.where(s_min > s_max, (s_min + s_max) / 2, 0)
-        s_min, s_max = jnp.where(s_min > s_max, middle, s_min), jnp.where(s_min > s_max, middle, s_max)
+        feasible = start.outcome != Outcome.INFEASIBLE
+        effort = _effort(self, hold)
+        inside = effort <= 1
+        standing = inside | (least.outcome != Outcome.INFEASIBLE)
+        undecided = (start.outcome == Outcome.UNDECIDED) | (hold.outcome == Outcome.UNDECIDED)
+        undecided |= ~inside & (least.outcome == Outcome.UNDECIDED)
+        s_min = jnp.where(inside, 0, _bounded(self, -1, least))
         pulled = (start.outcome != Outcome.OPTIMAL) | (_line(fixed, start.basis).intercept <= 0)
-        undecided = jnp.zeros_like(standing)
-        for found in (start, hold, least):
-            undecided |= found.outcome == Outcome.UNDECIDED
-        undecided |= standing & feasible & (most.outcome == Outcome.UNDECIDED)
-        face = simplex.normal_of(most.basis)
-        hangs = standing & feasible & (jnp.sum(face * self.per_acceleration, axis=0) > 0)
         return Survey(
             s_min=s_min,
-            s_max=s_max,
+            s_max=jnp.maximum(s_min, 0),
             standing=standing,
             feasible=feasible,
             pulled_back=feasible & (s_min > 0) & pulled,
             known=~undecided,
-            hangs=hangs,
-            start=simplex.improved(programs[0], start.basis)[0],
-            effort=_effort(self, hold),
+            hangs=standing & feasible,
+            start=start.basis,
+            effort=effort,
+        )
+
+    def completed(self, survey: Survey, wanted: Bool[Array, "*n"]) -> Survey:
+        """The survey with the whole static region, in lanes where it is wanted."""
+        fixed = jax.tree.map(jax.lax.stop_gradient, self)
+        wanted &= survey.standing & survey.feasible
+        least, most = _in_turn(
+            [fixed.standing(-1), fixed.standing(1)], [fixed.at_rest] * 2, fixed.ready, [lambda _: wanted, lambda _: wanted]
+        )
+        s_min, s_max = _bounded(self, -1, least), -_bounded(self, 1, most)
+        # Ends that meet, but for rounding, are one place.
+        middle = jnp.where(s_min > s_max, (s_min + s_max) / 2, 0)
+        s_min, s_max = jnp.where(s_min > s_max, middle, s_min), jnp.where(s_min > s_max, middle, s_max)
+        lost = (least.outcome == Outcome.UNDECIDED) | (most.outcome == Outcome.UNDECIDED)
+        return survey._replace(
+            s_min=jnp.where(wanted, s_min, survey.s_min),
+            s_max=jnp.where(wanted, s_max, survey.s_max),
+            known=survey.known & ~(wanted & lost),
         )
 
     def boundary(
@@ -263,8 +280,9 @@ class _Rows(NamedTuple):
         torques = joint(torque_columns(rays, full(actuation.jacobians, 3)), unit[:, None])
         wrenches = jnp.moveaxis(jnp.concatenate([rays[:, :3], rays[:, 3:] / line.length], axis=1), 0, 1)
         box = full(cone.momentum_box, 0) / line.length
+        both = jnp.concatenate([wrenches, torques])
         return _Rows(
-            rays=jnp.concatenate([wrenches, torques]),
+            rays=jnp.concatenate([both, jnp.zeros_like(both[:, :1])], axis=1),
             gravity=joint(full(actuation.gravity_torque, 1), unit),
             bound=jnp.concatenate([jnp.zeros((3, *lanes), dtype), jnp.broadcast_to(box, (3, *lanes)), limit / unit]),
             length=line.length,
@@ -281,25 +299,69 @@ def _exact(polygon: ActuatedPolygon, basis: Basis, wrench: Array) -> Array:
     return wrench - basis.side * polygon.bound
 
 
-def _effort(polygon: ActuatedPolygon, hold: simplex.Solution) -> Float[Array, "*n"]:
+class _End(NamedTuple):
+    """What is kept of a program that was solved."""
+
+    basis: Basis
+    found: Float[Array, "m *n"]
+    """The weights of its columns, limits and wrench as they are."""
+    outcome: Int[Array, "*n"]
+
+
+def _in_turn(
+    programs: list[Program], loads: list[Load], basis: Basis, active: list[Callable[[_End], Bool[Array, "*n"]]]
+) -> list[_End]:
+    """The ends of programs with the same rays, each from the basis of the one before.
+
+    active: in which lanes each is solved, by the end of the one before. One loop for all, so that it is compiled once.
+    """
+    rays, scale, bound = programs[0].rays, programs[0].scale, programs[0].bound
+    nothing = _End(basis, jnp.zeros_like(bound), jnp.zeros(scale.shape, jnp.int32))
+    stacked = jax.tree.map(lambda *x: jnp.stack(x), *(one._replace(rays=(), scale=()) for one in programs))
+
+    def one(before: _End, step: tuple) -> tuple[_End, _End]:
+        number, program, wrench, exact = step
+        program = program._replace(rays=rays, scale=scale)
+        lanes = jax.lax.switch(number, active, before)
+        solution = simplex.solve(program, simplex.renewed(program, before.basis), lanes)
+        found = simplex.times(solution.basis.inverse, wrench - solution.basis.side * exact)
+        end = _End(solution.basis, found, solution.outcome)
+        return end, end
+
+    wrenches = jnp.stack([load.wrench for load in loads])
+    bounds = jnp.stack([jnp.where(program.bound > 0, bound, 0) for program in programs])
+    ends = jax.lax.scan(one, nothing, (jnp.arange(len(programs)), stacked, wrenches, bounds))[1]
+    return [jax.tree.map(lambda x, k=k: x[k], ends) for k in range(len(programs))]
+
+
+def _free(polygon: ActuatedPolygon, program: Program, end: _End, wrench: Array) -> Float[Array, "*n"]:
+    """The free variable at the end of a program, with this wrench to be carried; differentiable."""
+    matrix = simplex.columns(program, end.basis.chosen)
+    carried = wrench - end.basis.side * polygon.bound
+    return simplex.weights(simplex.normal_of(end.basis)[None], end.found, matrix, carried)[0]
+
+
+def _effort(polygon: ActuatedPolygon, hold: _End) -> Float[Array, "*n"]:
     """Share of the limits that holding still takes; infinite where no forces balance the weight, whatever the torques."""
-    program, basis = polygon.holding(), hold.basis
-    matrix = simplex.columns(program, basis.chosen)
-    bound = jnp.where(_is_torque(polygon.bound), polygon.bound, 0)
-    z = simplex.weights(basis.inverse, matrix, -basis.side * bound)[0]
-    noise = polygon.line.slack * polygon.line.weight * jnp.max(jnp.abs(simplex.normal_of(basis)), axis=0)
+    z = _free(polygon, polygon.holding(), hold, jnp.zeros_like(polygon.bound))
+    noise = polygon.line.slack * polygon.line.weight * jnp.max(jnp.abs(simplex.normal_of(hold.basis)), axis=0)
     held = -without_noise(z, noise)
     effort = jnp.where(held > 0, 1 / jnp.where(held > 0, held, 1), jnp.inf)
-    endless = (hold.outcome == Outcome.UNBOUNDED) | (basis.chosen[0] != FREE)
+    endless = (hold.outcome == Outcome.UNBOUNDED) | (hold.basis.chosen[0] != FREE)
     return jnp.where(hold.outcome == Outcome.UNDECIDED, jnp.nan, jnp.where(endless, 0, effort))
 
 
-def _place(polygon: ActuatedPolygon, sign: int, basis: Basis) -> Float[Array, "*n"]:
-    """The free variable of `standing(sign)` where the basis meets the weight itself; zero where that is all slack."""
-    matrix = simplex.columns(polygon.standing(sign), basis.chosen)
-    held = simplex.weights(basis.inverse, matrix, _exact(polygon, basis, polygon.at_rest.wrench))
-    noise = polygon.line.slack * polygon.line.weight * jnp.max(jnp.abs(simplex.normal_of(basis)), axis=0)
-    return snapped(held[0], noise)
+def _bounded(polygon: ActuatedPolygon, sign: int, end: _End) -> Float[Array, "*n"]:
+    """The free variable of `standing(sign)`, minus infinity where nothing bounds it."""
+    bounded = (end.outcome == Outcome.OPTIMAL) & (end.basis.chosen[0] == FREE)
+    return jnp.where(bounded, _place(polygon, sign, end), -jnp.inf)
+
+
+def _place(polygon: ActuatedPolygon, sign: int, end: _End) -> Float[Array, "*n"]:
+    """The free variable where the basis meets the weight itself; zero where that is all slack."""
+    held = _free(polygon, polygon.standing(sign), end, polygon.at_rest.wrench)
+    noise = polygon.line.slack * polygon.line.weight * jnp.max(jnp.abs(simplex.normal_of(end.basis)), axis=0)
+    return snapped(held, noise)
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(3, 4))
@@ -314,15 +376,42 @@ def _search(
 ) -> tuple[Boundary, Any]:
     """The boundary, and the marks of its pieces' bases."""
     walked = limit > 0
-    found = simplex.solve(polygon.at_start(), polygon.ready, walked)
+    found, wall = _first(polygon, walked)
     floorless = walked & ((found.outcome == Outcome.UNBOUNDED) | (found.basis.chosen[0] != FREE))
     lost = walked & ((found.outcome == Outcome.UNDECIDED) | (found.outcome == Outcome.INFEASIBLE))
-    wall = jax.lax.cond(jnp.any(floorless), _wall, lambda polygon, _: jnp.full_like(limit, jnp.inf), polygon, floorless)
+    bounded = floorless & (wall.outcome == Outcome.OPTIMAL) & (wall.basis.chosen[0] == FREE)
+    farthest = jnp.where(bounded, -_place(polygon, 1, wall), jnp.inf)
     follow = lambda alpha, line, basis: _follow(polygon, basis)
     limit = jnp.where(lost, 0, limit)
     first = _line(polygon, found.basis)
-    boundary, marks = walk(follow, first, found.basis, floorless, wall, limit, rising, most, enough, mark)
+    boundary, marks = walk(follow, first, found.basis, floorless, farthest, limit, rising, most, enough, mark)
     return boundary._replace(ending=jnp.where(lost, End.MAX_PIECES, boundary.ending).astype(jnp.int8)), marks
+
+
+def _first(polygon: ActuatedPolygon, walked: Bool[Array, "*n"]) -> list[_End]:
+    """The basis of the first piece; and in lanes without a floor, that of the largest alpha of the polygon.
+
+    For the latter, force along the line, either way, is a ray like the others; the former has zeros in its place.
+    """
+    spare, widened = polygon.rays, polygon.rays.at[:, -1].set(polygon.per_acceleration)
+    floorless = lambda end: walked & ((end.outcome == Outcome.UNBOUNDED) | (end.basis.chosen[0] != FREE))
+    before = _End(polygon.ready, jnp.zeros_like(polygon.bound), jnp.zeros(walked.shape, jnp.int32))
+    programs = (one._replace(rays=()) for one in (polygon.at_start(), polygon.standing(1)))
+    stacked = jax.tree.map(lambda *x: jnp.stack(x), *programs)
+
+    def one(before: _End, step: tuple) -> tuple[_End, _End]:
+        number, program, wrench = step
+        lanes = jnp.where(number == 0, walked, floorless(before))
+        program = program._replace(rays=jax.lax.cond(number == 0, lambda: spare, lambda: widened))
+        basis = jax.lax.cond(number == 0, lambda: before.basis, lambda: simplex.begun(program))
+        solution = simplex.solve(program, basis, lanes)
+        found = simplex.times(solution.basis.inverse, wrench - solution.basis.side * polygon.bound)
+        end = _End(solution.basis, found, solution.outcome)
+        return end, end
+
+    wrenches = jnp.stack([polygon.falling.wrench, polygon.at_rest.wrench])
+    ends = jax.lax.scan(one, before, (jnp.arange(2), stacked, wrenches))[1]
+    return [jax.tree.map(lambda x, k=k: x[k], ends) for k in range(2)]
 
 
 def _line(polygon: ActuatedPolygon, basis: Basis) -> Affine:
@@ -337,15 +426,6 @@ def _line(polygon: ActuatedPolygon, basis: Basis) -> Affine:
     noise = slack * (jnp.abs(beyond) + polygon.line.weight)
     steepest = polygon.line.weight / polygon.line.length
     return Affine(snapped(beyond + polygon.fall, noise), without_noise(share * along(polygon.per_alpha), slack * steepest))
-
-
-def _wall(polygon: ActuatedPolygon, floorless: Bool[Array, "*n"]) -> Float[Array, "*n"]:
-    """The largest alpha of a polygon without a floor: force along the line, either way, is a ray like the others."""
-    wide = polygon._replace(rays=jnp.concatenate([polygon.rays, polygon.per_acceleration[:, None]], axis=1))
-    program = wide.standing(1)
-    found = simplex.solve(program, simplex.begun(program), floorless)
-    bounded = (found.outcome == Outcome.OPTIMAL) & (found.basis.chosen[0] == FREE)
-    return jnp.where(bounded, -_place(wide, 1, found.basis), jnp.inf)
 
 
 def _follow(polygon: ActuatedPolygon, basis: Basis) -> Next:
@@ -419,11 +499,13 @@ def _boundary_jvp(rising, most, primals, tangents):
         program = polygon.at_start()
         basis = simplex.inverse_of(program, Basis(chosen, jnp.zeros_like(program.target)[:, None], side))
         end = _end(polygon, basis)
+        exact = simplex.times(basis.inverse, _exact(polygon, basis, polygon.falling.wrench))
+        moving = simplex.times(basis.inverse, polygon.per_alpha)
 
         def figures(polygon):
             matrix = simplex.columns(polygon.at_start(), basis.chosen)
-            held = simplex.weights(basis.inverse, matrix, _exact(polygon, basis, polygon.falling.wrench))
-            rate = simplex.weights(basis.inverse, matrix, polygon.per_alpha)
+            held = simplex.weights(basis.inverse, exact, matrix, _exact(polygon, basis, polygon.falling.wrench))
+            rate = simplex.weights(basis.inverse, moving, matrix, polygon.per_alpha)
             bound = simplex.of_units(polygon.bound, basis.chosen) * jax.lax.stop_gradient(jnp.sign(rate))
             out = lambda values: jnp.sum(jnp.where(end.leaving & (basis.chosen != FREE), values, 0), axis=0)
             return Affine(held[0] + polygon.fall, rate[0]), ratio(out(bound - held), out(rate))

@@ -13,7 +13,7 @@ from jaxcap.contacts.actuation import ActuatedRays
 from jaxcap.contacts.cone import CentroidalCone, ConeRays
 from jaxcap.contacts.conventions import GRAVITY, ArrayLike
 from jaxcap.numerics.guarded import direction, tolerances
-from jaxcap.one_state.actuated_polygon import actuated_polygon
+from jaxcap.one_state.actuated_polygon import ActuatedPolygon, actuated_polygon
 from jaxcap.one_state.boundary import Boundary, End
 from jaxcap.one_state.face_polygon import polygon
 from jaxcap.one_state.polygon import Producer, Survey
@@ -132,6 +132,8 @@ def _line(polygon: Producer, survey: Survey, quick: bool) -> Line:
     polygon = polygon.knowing(survey)
     standing = survey.standing & survey.feasible
     lower = polygon.boundary(jnp.where(survey.feasible, jnp.inf, 0), most=QUICK if quick else None)
+    if isinstance(polygon, ActuatedPolygon) and not quick:
+        survey = polygon.completed(survey, lower.ending != End.DIVERGES)
     ahead = standing & (survey.s_min > 0) & survey.pulled_back
     same_alpha = tolerances(survey.s_max.dtype).same_alpha * polygon.size
     hanging = standing & (lower.ending != End.DIVERGES) & (survey.s_max < lower.end - same_alpha)
@@ -139,6 +141,8 @@ def _line(polygon: Producer, survey: Survey, quick: bool) -> Line:
         unfinished = lower.ending == End.MAX_PIECES
         # Without the end of the lower boundary, what ends the static region says whether the polygon may go on beyond it.
         hanging = jnp.where(unfinished, standing & survey.hangs, hanging)
+        if isinstance(polygon, ActuatedPolygon):  # its static region is not known yet
+            hanging = standing & (lower.ending != End.DIVERGES)
         skipped = (unfinished + 2 * ahead + 4 * hanging).astype(jnp.int8)
         none = jnp.zeros_like(ahead)
         return Line(polygon, survey, none, none, lower, jax.tree.map(jnp.zeros_like, lower), skipped)
