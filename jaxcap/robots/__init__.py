@@ -10,6 +10,7 @@ try:
 except ImportError as error:
     raise ImportError('jaxcap.robots needs Pinocchio: pip install "jaxcap[robots]"') from error
 
+from jaxcap.robots.actuation import actuation as actuation
 from jaxcap.robots.centroidal import CentroidalStates as CentroidalStates
 from jaxcap.robots.centroidal import centroidal_states as centroidal_states
 from jaxcap.robots.centroidal import convention_error as convention_error
