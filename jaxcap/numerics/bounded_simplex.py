@@ -67,13 +67,24 @@ class Solution(NamedTuple):
 
 
 def times(matrix: Float[Array, "m k *n"], vector: Float[Array, "k *n"]) -> Float[Array, "m *n"]:
-    """Product, lane by lane. The sum is written out: XLA's reductions over computed products are slow on a CPU."""
-    return cast(Array, sum(matrix[:, i] * vector[i] for i in range(len(vector))))
+    """Product, lane by lane.
+
+    The sum is written out, for XLA's reductions over computed products are slow on a CPU.
+    """
+    return stored(cast(Array, sum(matrix[:, i] * vector[i] for i in range(len(vector)))))
 
 
 def combination(vector: Float[Array, "m *n"], rows: Float[Array, "m k *n"]) -> Float[Array, "k *n"]:
     """Sum of rows with these factors: a row of the simplex tableau."""
-    return cast(Array, sum(rows[i] * vector[i] for i in range(len(vector))))
+    return stored(cast(Array, sum(rows[i] * vector[i] for i in range(len(vector)))))
+
+
+def stored(values: Float[Array, "*n"]) -> Float[Array, "*n"]:
+    """The values, in memory: else XLA computes them again wherever they are used, which may be for each entry of a matrix.
+
+    It takes sums and products for cheap, through an optimization barrier too, but no quotient.
+    """
+    return values / (1 + 0 * values)  # one, for all it knows
 
 
 def mixture(rays: Float[Array, "m r *n"]) -> Float[Array, "m *n"]:
@@ -194,7 +205,7 @@ def pivot(
     row = jnp.sum(jnp.where(leaving[:, None], basis.inverse, 0), axis=0)
     element = jnp.sum(jnp.where(leaving, direction, 0), axis=0)
     row = row / jnp.where(go, element, 1)
-    change = jnp.where(go, jnp.where(leaving, direction - 1, direction), 0)
+    change = stored(jnp.where(go, jnp.where(leaving, direction - 1, direction), 0))
     inverse = basis.inverse - change[:, None] * row[None]
     return Basis(jnp.where(leaving & go, entering, basis.chosen).astype(jnp.int32), inverse, basis.side)
 
@@ -328,7 +339,8 @@ def column_at(rays: Float[Array, "m r *n"], basis: Basis, place: Int[Array, "*n"
     row = place - r == _places(basis.side)
     ray = jnp.take_along_axis(rays, jnp.clip(place, 0, r - 1)[None, None], axis=1)[:, 0]
     number = jnp.where(place < r, place, UNIT - (place - r)).astype(jnp.int32)
-    return Entering(number, jnp.where(place < r, ray, jnp.where(row, -basis.side, 0)), row & (place >= r))
+    column = stored(jnp.where(place < r, ray, jnp.where(row, -basis.side, 0)))
+    return Entering(number, column, row & (place >= r))
 
 
 def _step(program: Program, state: SimplexState) -> SimplexState:
@@ -338,8 +350,7 @@ def _step(program: Program, state: SimplexState) -> SimplexState:
     late = steps >= bland
     held = _held(program, state, bland)
     normal = jnp.where(held.seeking, combination(held.missing, basis.inverse), normal_of(basis))
-    # Stored before it is reduced, or XLA's CPU code computes each product again for every lane of the reduction.
-    gain = jax.lax.optimization_barrier(jnp.concatenate([combination(normal, program.rays), -basis.side * normal]))
+    gain = jnp.concatenate([combination(normal, program.rays), -basis.side * normal])
     enough = tolerances(gain.dtype).reduced_cost * jnp.max(jnp.abs(normal), axis=0)
     best = jnp.max(gain, axis=0)
     improves = running & (best > enough)
