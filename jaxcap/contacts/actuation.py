@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Array, Bool, Float
 
 from jaxcap.contacts.cone import ConeRays
 from jaxcap.contacts.conventions import ArrayLike, FloatArray
@@ -127,12 +127,34 @@ class ActuatedRays(NamedTuple):
         return self.rays.batched
 
     @property
-    def origin(self) -> Float[FloatArray, "*batch 3"]:
+    def touching(self) -> Bool[Array, "k *n"]:
+        """The contacts that are not masked; lanes last, as in all that follows."""
+        contacts = self.actuation.jacobians.shape[0]
+        return jnp.any(jnp.reshape(self.rays.mask, (contacts, -1, *jnp.shape(self.rays.mask)[1:])), axis=1)
+
+    @property
+    def finite(self) -> Bool[Array, "*n"]:
+        """Whether all is a number that says something of a contact that touches, or of a joint that counts."""
+        posture = self.actuation
+        moves = jnp.isfinite(posture.jacobians) | ~self.touching[:, None, None] | ~jnp.asarray(posture.mask)
+        holds = jnp.isfinite(posture.gravity_torque) & jnp.isfinite(posture.limit) | ~jnp.asarray(posture.mask)
+        return jnp.all(moves, axis=(0, 1, 2)) & jnp.all(holds, axis=0) & jnp.isfinite(self.momentum_box)
+
+    def without_what_is_not_finite(self) -> "ActuatedRays":
+        """Zero for all of that, and for what is ignored."""
+        number = lambda x: jnp.where(jnp.isfinite(x), x, 0)
+        posture = self.actuation
+        jacobians = jnp.where(self.touching[:, None, None], number(posture.jacobians), 0)
+        known = Actuation.unchecked(jacobians, number(posture.gravity_torque), number(posture.limit), posture.mask)
+        return ActuatedRays(self.rays._replace(rays=number(self.rays.rays)), known, number(self.momentum_box))
+
+    @property
+    def origin(self) -> Float[FloatArray, "..."]:
         """Centroid of the contact points [m]."""
         return self.rays.origin
 
     @property
-    def length(self) -> Float[FloatArray, "*batch"]:
+    def length(self) -> Float[FloatArray, "..."]:
         """Size of the stance [m]."""
         return self.rays.length
 

@@ -98,9 +98,12 @@ def survey_of_lanes(
 
 def _cut(cone: Cone, com: Array, com_velocity: Array, gravity: ArrayLike) -> _Cut:
     dtype = jnp.promote_types(jnp.result_type(com, com_velocity), jnp.float32)
+    known = _finite_cone(cone)
+    if isinstance(cone, ActuatedRays):
+        cone = cone.without_what_is_not_finite()
     com, com_velocity, pull = com.astype(dtype), com_velocity.astype(dtype), jnp.asarray(gravity, dtype)
     pulls = jnp.all(jnp.isfinite(pull))
-    finite = jnp.all(jnp.isfinite(com) & jnp.isfinite(com_velocity), axis=0) & pulls & _finite_cone(cone)
+    finite = jnp.all(jnp.isfinite(com) & jnp.isfinite(com_velocity), axis=0) & pulls & known
     along, speed = direction(jnp.where(finite, com_velocity, 0))
     cut = _producer(cone)
     # What is not finite gives way to numbers, of which the walk can make sense.
@@ -119,10 +122,7 @@ def _producer(cone: Cone) -> Any:
 def _finite_cone(cone: Cone) -> Bool[Array, "*n"]:
     """Whether faces or rays, and what the robot can do with them, are numbers, lane by lane."""
     if isinstance(cone, ActuatedRays):
-        posture = cone.actuation
-        known = jnp.where(posture.mask, jnp.isfinite(posture.gravity_torque) & jnp.isfinite(posture.limit), True)
-        moves = jnp.all(jnp.isfinite(posture.jacobians), axis=(0, 1, 2))
-        return _finite_cone(cone.rays) & jnp.all(known, axis=0) & moves & jnp.isfinite(cone.momentum_box)
+        return _finite_cone(cone.rays) & cone.finite
     rows = cone.rays if isinstance(cone, ConeRays) else jnp.asarray(cone.faces)
     return jnp.all(jnp.isfinite(rows), axis=(0, 1)) & jnp.all(jnp.isfinite(jnp.asarray(cone.origin)), axis=0)
 
