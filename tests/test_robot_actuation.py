@@ -110,3 +110,14 @@ def test_what_cannot_be_used_is_named(robot):
         actuation(robot.model, postures(robot, 3), contacts, FRAMES)
     with pytest.raises(InputError, match="is no joint"):
         actuation(robot.model, q, contacts, FRAMES, limits={"knee": 1.0})
+
+
+def test_only_joints_that_are_wanted(robot):
+    q = postures(robot, 2)
+    contacts = contacts_of(robot, q)
+    arm = [name for name in robot.model.names if "arm_left" in name]
+    found, whole = (actuation(robot.model, q, contacts, FRAMES, joints=joints) for joints in (arm, None))
+    assert found.joints == len(arm) == 7
+    np.testing.assert_array_equal(found.jacobians, whole.jacobians[..., 14:])
+    with pytest.raises(InputError, match="joints: 'elbow' is no joint"):
+        actuation(robot.model, q, contacts, FRAMES, joints=["elbow"])

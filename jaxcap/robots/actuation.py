@@ -5,7 +5,7 @@ those of `centroidal`.
 """
 
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -42,6 +42,7 @@ def actuation(
     contacts: ContactSet,
     frames: Sequence[str] | Mapping[str, ContactPatch],
     *,
+    joints: Collection[str] | None = None,
     limits: Mapping[str, float] | None = None,
     unlimited: bool = False,
     gravity: ArrayLike = GRAVITY,
@@ -54,6 +55,7 @@ def actuation(
         contacts: of these postures, in the world frame: one set for all, or one for each.
         frames: for each of the k contacts the frame of the model whose link it belongs to; or the robot's patches, whose
             points the contacts are, in that order.
+        joints: names of those that may count; by default all that carry a contact.
         limits: torques by names of joints [N m] (forces of slides [N]), in place of the model's.
         unlimited: whether joints of which no limit is known may bear anything; else they are an error.
         gravity: (3,) [m/s^2].
@@ -72,12 +74,12 @@ def actuation(
     check_units(model, rows)
     names = _frames_of(frames)
     points, mask = _contacts(contacts, len(rows), len(names))
-    joints = _joints(model, names, mask.any(axis=0))
-    bound = _limits(model, joints, limits or {}, unlimited)
+    chain = _joints(model, names, mask.any(axis=0), joints)
+    bound = _limits(model, chain, limits or {}, unlimited)
     pull = np.asarray(checked_gravity(gravity))
-    parts = [_block(model, rows[i : i + BLOCK], points[i : i + BLOCK], joints, pull) for i in range(0, max(len(rows), 1), BLOCK)]
+    parts = [_block(model, rows[i : i + BLOCK], points[i : i + BLOCK], chain, pull) for i in range(0, max(len(rows), 1), BLOCK)]
     jacobians, torque = (np.concatenate(part) for part in zip(*parts, strict=True))
-    carries = np.array([joint.carries for joint in joints]).reshape(len(joints), -1)
+    carries = np.array([joint.carries for joint in chain]).reshape(len(chain), -1)
     touching = (mask[:, None] & carries[None]).any(axis=2) & np.isfinite(bound)
     limit = np.broadcast_to(np.where(np.isfinite(bound), bound, 0), touching.shape)
     found = Actuation(jacobians, torque, limit, touching)
@@ -103,8 +105,13 @@ def _contacts(contacts: ContactSet, n: int, k: int) -> tuple[Float[np.ndarray, "
     return np.broadcast_to(points, (n, k, 3)), np.broadcast_to(mask, (n, k))
 
 
-def _joints(model: pin.Model, frames: list[str], used: Bool[np.ndarray, " k"]) -> list[_Joint]:
-    """The joints between the base and contacts that are used, in the model's order."""
+def _joints(
+    model: pin.Model, frames: list[str], used: Bool[np.ndarray, " k"], wanted: Collection[str] | None
+) -> list[_Joint]:
+    """The joints between the base and contacts that are used, in the model's order; of those that are wanted."""
+    for joint in wanted or ():
+        if not model.existJointName(joint):
+            raise InputError(f"joints: {joint!r} is no joint of {model.name}")
     found: dict[int, np.ndarray] = {}
     for contact, name in enumerate(frames):
         if not model.existFrame(name):
@@ -113,7 +120,8 @@ def _joints(model: pin.Model, frames: list[str], used: Bool[np.ndarray, " k"]) -
         for joint in above:
             if joint > 1:  # the world, and the base
                 found.setdefault(int(joint), np.zeros(len(frames), bool))[contact] = True
-    return [_joint(model, number, found[number]) for number in sorted(found)]
+    numbers = [number for number in sorted(found) if wanted is None or model.names[number] in wanted]
+    return [_joint(model, number, found[number]) for number in numbers]
 
 
 def _joint(model: pin.Model, number: int, carries: Bool[np.ndarray, " k"]) -> _Joint:
