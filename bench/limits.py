@@ -1,6 +1,6 @@
 """States/s with the robot's limits, each state its own posture, over the point mass and HiGHS; and how far HiGHS agrees.
 
-    python -m bench.limits [--scenarios three four] [--joints arms all] [--dtypes float64 float32] [--states 8192] [--check 100]
+    python -m bench.limits [--scenarios three four] [--joints arms all] [--dtypes float64 float32] [--states 8192]
 
 The states are TALOS's of the evaluation (reference/tsid/data), repeated up to `--states`. `arms` has the rows of the joints
 of the touching arms only, `all` those of every joint between the base and a contact (legs never bind on TALOS). Every line

@@ -12,6 +12,7 @@ question is a program of its own, and the speed is found by cutting the convex a
 
 from __future__ import annotations
 
+import itertools
 from typing import NamedTuple
 
 import numpy as np
@@ -191,7 +192,7 @@ def max_speed(state: State) -> float:
     assert last is not None
     knots = pieces(state, first, last)
     energy, least = 0.0, 0.0
-    for one, other in zip(knots[:-1], knots[1:], strict=True):
+    for one, other in itertools.pairwise(knots):
         energy += (other.alpha - one.alpha) * (one.value + other.value) / 2
         least = min(least, energy)
     return float(np.sqrt(-2 * least))
@@ -204,5 +205,5 @@ def min_speed(state: State, s_min: float) -> float:
     if first is None or last is None or not (np.isfinite(first.value) and np.isfinite(last.value)):
         return np.nan
     knots = pieces(turned, first, last)
-    gained = sum((b.alpha - a.alpha) * (a.value + b.value) / 2 for a, b in zip(knots[:-1], knots[1:], strict=True))
+    gained = sum((b.alpha - a.alpha) * (a.value + b.value) / 2 for a, b in itertools.pairwise(knots))
     return float(np.sqrt(max(0.0, 2 * gained)))

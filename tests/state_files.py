@@ -114,7 +114,8 @@ def fake_score(cone, coms, com_velocities, gravity=(0, 0, -9.81), neighbours=Fal
     capturable = ~bad & (still | (margin >= 0))
     case = np.where(bad, Case.UNDECIDED, np.where(capturable, Case.C3_1, Case.C1)).astype(np.int8)
     status = np.where(bad, Status.NONFINITE, np.where(still, Status.NO_DIRECTION, Status.OK)).astype(np.int8)
-    return Capturability(capturable, case, status, margin, 0 * margin, margin + speed, margin, speed, speed, 0 * speed, margin + np.nan)
+    none = np.full_like(margin, np.nan)
+    return Capturability(capturable, case, status, margin, 0 * margin, margin + speed, margin, speed, speed, 0 * speed, none)
 
 
 def command(states, contacts, output, *options) -> list[str]:

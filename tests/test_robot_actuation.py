@@ -87,7 +87,7 @@ def test_limits_that_are_missing_are_said_once_and_given_by_name():
     frames = [patch.frame for patch in ANYMAL_FEET.values()]
     q = pin.neutral(model)[None]
     contacts = contacts_of(robot, q, frames)
-    with pytest.raises(InputError, match="LF_HAA.*unlimited=True"):
+    with pytest.raises(InputError, match=r"LF_HAA.*unlimited=True"):
         actuation(model, q, contacts, frames)
     with pytest.warns(UserWarning, match="no effort limit for LF_HAA") as said:
         found = actuation(model, q, contacts, frames, unlimited=True)

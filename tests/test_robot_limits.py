@@ -99,7 +99,7 @@ def test_effort_is_that_of_the_linear_program(found, programs):
     expected = np.array([reference.effort(program) for program in programs])
     np.testing.assert_allclose(found.effort, expected, rtol=1e-6)
     held = np.isfinite(expected)
-    assert 10 < (held & (expected > 1)).sum() and 10 < (expected <= 1).sum()
+    assert (held & (expected > 1)).sum() > 10 and (expected <= 1).sum() > 10
 
 
 def test_speeds_are_those_of_the_linear_programs(found, programs):
@@ -111,7 +111,9 @@ def test_speeds_are_those_of_the_linear_programs(found, programs):
         if first is None or s_min > s_max:
             assert found.max_speed[i] == 0
         elif end <= s_max + 1e-7:
-            np.testing.assert_allclose(found.max_speed[i], reference.max_speed(program), rtol=1e-6, atol=1e-9, err_msg=str(i))
+            np.testing.assert_allclose(
+                found.max_speed[i], reference.max_speed(program), rtol=1e-6, atol=1e-9, err_msg=str(i)
+            )
             compared += found.max_speed[i] > 0
     assert compared > 20
 
@@ -153,7 +155,8 @@ def test_more_never_lowers_the_speed(sample, found):
         assert (more.max_speed >= found.max_speed * (1 - 1e-9) - 1e-9).all()
         assert (more.max_speed > found.max_speed + 1e-6).any()
     mask = sample.contacts.mask & (np.arange(12) < 8)
-    less = sample.scored(contacts=jaxcap.ContactSet(sample.contacts.points, sample.contacts.frames, sample.contacts.friction, mask))
+    sets = sample.contacts
+    less = sample.scored(contacts=jaxcap.ContactSet(sets.points, sets.frames, sets.friction, mask))
     assert (less.max_speed <= found.max_speed * (1 + 1e-9) + 1e-9).all()
 
 
@@ -231,7 +234,9 @@ def test_single_precision_gives_the_verdict_of_double(sample, found):
 
 def test_one_state_is_a_row_of_many(sample, found):
     """And gradients are those of central differences: in limits, Jacobians, torques, position and velocity."""
-    row = next(i for i in range(0, STATES, 2) if found.effort[i] < 0.9 and 0 < found.max_speed[i] < 10 and found.case[i] == 2)
+    row = next(
+        i for i in range(0, STATES, 2) if found.effort[i] < 0.9 and 0 < found.max_speed[i] < 10 and found.case[i] == 2
+    )
     sets, posture = (jax.tree.map(lambda x: x[row], tree) for tree in (sample.contacts, sample.actuation))
     rays = jaxcap.cone_rays(sets)
 
@@ -273,7 +278,7 @@ def test_actuation_of_other_contacts_or_postures_is_named(sample):
     rays = jaxcap.cone_rays(sample.contacts)
     call = lambda rays=rays, **kwargs: jaxcap.score(rays, sample.coms, sample.velocities, **kwargs)
     posture = sample.actuation
-    with pytest.raises(TypeError, match="Jacobians|jacobians"):
+    with pytest.raises(TypeError, match=r"actuation.jacobians: 11 contacts, for 48 rays"):
         call(actuation=_with(posture, jacobians=posture.jacobians[:, :11]))
     with pytest.raises(TypeError, match="actuation has 63 rows"):
         call(actuation=jax.tree.map(lambda x: x[:63], posture))

@@ -140,6 +140,7 @@ QUICK: dict[str, tuple[str, ...]] = {
         "test_discretised_stop_obeys_the_polygon_between_its_knots",
         "test_verdict_by_discretisation",
     ),
+    "test_robot_limits.py": ("test_wrong_shapes", "test_actuation_of_other"),
     "test_second_opinion.py": (),
     "test_special_cases.py": (
         "test_inverted_pendulum_in_closed_form[faces-float64",

@@ -22,7 +22,7 @@ FEW_ROWS = 160
 """Up to so many faces, a chunk has twice as many lanes: what each operation costs besides its numbers is shared by more."""
 
 
-LIMITED_BYTES = 128
+LIMITED_BYTES = 256
 """Of one number of all states of a chunk, where the robot's limits come in: their programs are several times as large."""
 
 

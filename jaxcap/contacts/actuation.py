@@ -178,12 +178,12 @@ def actuated(
         raise TypeError(f"cone: a {type(cone).__name__} (expected cone_rays(contacts): the robot's limits need the rays)")
     rays = cone.rays.shape[-2]
     if actuation is None:
-        actuation = Actuation.unchecked(*(np.zeros(shape) for shape in ((1, 3, 0), 0, 0)), np.zeros(0, bool))
+        actuation = Actuation.unchecked(np.zeros((1, 3, 0)), np.zeros(0), np.zeros(0), np.zeros(0, bool))
     if not isinstance(actuation, Actuation):
         raise TypeError(f"actuation: {type(actuation).__name__} (expected a jaxcap.Actuation)")
     contacts = actuation.jacobians.shape[-3]
     if actuation.joints and (contacts == 0 or rays % contacts or rays // contacts < 3):
-        raise TypeError(f"actuation.jacobians are of {contacts} contacts, and the cone has {rays} rays (expected the same contacts)")
+        raise TypeError(f"actuation.jacobians: {contacts} contacts, for {rays} rays (expected those of the same contacts)")
     box = _box(momentum_box)
     for name, batched, count in (
         ("actuation", actuation.batched, len(actuation.limit) if actuation.batched else 0),
@@ -212,9 +212,9 @@ def torque_columns(rays: Float[FloatArray, "r 6 *#n"], jacobians: Float[FloatArr
     Returns:
         (j, r, *n).
     """
-    contacts, _, joints, *lanes = jacobians.shape
+    contacts, _three, joints, *_lanes = jacobians.shape
     forces = rays[:, :3].reshape(contacts, -1, 3, *rays.shape[2:])
-    found = sum(jacobians[:, None, x] * forces[:, :, x, None] for x in range(3))
+    found: Any = sum(jacobians[:, None, x] * forces[:, :, x, None] for x in range(3))
     return jnp.moveaxis(found.reshape(rays.shape[0], joints, *jnp.shape(found)[3:]), 0, 1)
 
 
@@ -260,7 +260,9 @@ def _checked(jacobians: Any, gravity_torque: Any, limit: Any, mask: Any) -> tupl
     _check_shape("gravity_torque", gravity_torque.shape, lead)
     for name, value in (("limit", limit), ("mask", mask)):
         _check_shape(name, value.shape, lead if value.ndim == len(lead) else lead[-1:])
-    limit, mask = (np.broadcast_to(x, lead) if isinstance(x, np.ndarray) else jnp.broadcast_to(x, lead) for x in (limit, mask))
+    limit, mask = (
+        np.broadcast_to(x, lead) if isinstance(x, np.ndarray) else jnp.broadcast_to(x, lead) for x in (limit, mask)
+    )
     wrong = np.asarray(mask) & ~(np.isfinite(np.asarray(limit)) & (np.asarray(limit) >= 0))
     for index in np.argwhere(wrong)[:1]:
         place = ", ".join(map(str, index))

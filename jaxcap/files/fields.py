@@ -87,8 +87,8 @@ FIELDS = {
         "",
         "effort",
         "share of the torque limits that holding still takes, above 1: cannot be held; NaN without them",
-        "share of the robot's torque limits that holding still takes where it is; above 1 the posture cannot be held, and is "
-        "not capturable; infinite where no torques hold it; NaN without `actuation`",
+        "share of the robot's torque limits that holding still takes where it is; above 1 the posture cannot be held, and "
+        "is not capturable; infinite where no torques hold it; NaN without `actuation`",
     ),
 }
 """The columns that are added to each row: the fields of `Capturability`, in that order."""

@@ -107,7 +107,10 @@ def columns(program: Program, index: Int[Array, "m *n"]) -> Float[Array, "m m *n
 
 @jax.custom_jvp
 def weights(
-    inverse: Float[Array, "k m *n"], found: Float[Array, "m *n"], matrix: Float[Array, "m m *n"], target: Float[Array, "m *n"]
+    inverse: Float[Array, "k m *n"],
+    found: Float[Array, "m *n"],
+    matrix: Float[Array, "m m *n"],
+    target: Float[Array, "m *n"],
 ) -> Float[Array, "k *n"]:
     """The weights of a basis with this matrix in the target; differentiable in matrix and target, not in the inverse.
 
@@ -385,7 +388,9 @@ def exchanged(
     go: Bool[Array, "*n"],
 ) -> Basis:
     """The basis after a pivot, in lanes that `go`. side: at which of its bounds the leaving column is then."""
-    left = UNIT - jnp.sum(jnp.where(leaving, basis.chosen, 0), axis=0) == _places(basis.side)  # its row, if it is a unit column
+    left = UNIT - jnp.sum(jnp.where(leaving, basis.chosen, 0), axis=0) == _places(
+        basis.side
+    )  # its row, if it is a unit column
     sign = jnp.where(jnp.any(entering.row, axis=0), jnp.sum(jnp.where(entering.row, -basis.side, 0), axis=0), 1)
     found = pivot(basis, leaving, entering.number, direction * sign, go)
     after = jnp.where(left, side, jnp.where(entering.row, 0, basis.side))

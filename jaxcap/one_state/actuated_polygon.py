@@ -119,55 +119,56 @@ class ActuatedPolygon(NamedTuple):
         )
 
     def survey(self, near: Any = None) -> Survey:
-        """Polygon at alpha = 0 and effort; the static region only where the CoM does not stand in it: see `completed`.
+        """Polygon at alpha = 0, and effort. Of the static region only whether the CoM stands in it: see `completed`.
 
         near: not used.
         """
         fixed = jax.tree.map(jax.lax.stop_gradient, self)
-        lowest = fixed.at_start()
+        lowest, hold = fixed.at_start(), fixed.holding()
         everywhere = jnp.ones(self.fall.shape, bool)
-        outside = lambda found: ~(_effort(fixed, found) <= 1)
-        start, hold, least = _in_turn(
-            [lowest, fixed.holding(), fixed.standing(-1)],
-            [fixed.falling, Load(0 * fixed.at_rest.wrench, fixed.at_rest.target), fixed.at_rest],
-            simplex.begun(lowest),
-            [lambda _: everywhere, lambda _: everywhere, outside],
-        )
-        feasible = start.outcome != Outcome.INFEASIBLE
-        effort = _effort(self, hold)
-        inside = effort <= 1
-        standing = inside | (least.outcome != Outcome.INFEASIBLE)
-        undecided = (start.outcome == Outcome.UNDECIDED) | (hold.outcome == Outcome.UNDECIDED)
-        undecided |= ~inside & (least.outcome == Outcome.UNDECIDED)
-        s_min = jnp.where(inside, 0, _bounded(self, -1, least))
+        loads = [fixed.falling, Load(0 * fixed.at_rest.wrench, hold.target)]
+        start, held = _in_turn([lowest, hold], loads, simplex.begun(lowest), everywhere)
+        feasible, effort = start.outcome != Outcome.INFEASIBLE, _effort(self, held)
         pulled = (start.outcome != Outcome.OPTIMAL) | (_line(fixed, start.basis).intercept <= 0)
+        nothing = jnp.zeros_like(self.fall)
         return Survey(
-            s_min=s_min,
-            s_max=jnp.maximum(s_min, 0),
-            standing=standing,
+            s_min=nothing,
+            s_max=nothing,
+            standing=effort <= 1,
             feasible=feasible,
-            pulled_back=feasible & (s_min > 0) & pulled,
-            known=~undecided,
-            hangs=standing & feasible,
+            pulled_back=feasible & pulled,
+            known=(start.outcome != Outcome.UNDECIDED) & (held.outcome != Outcome.UNDECIDED),
+            hangs=jnp.zeros_like(feasible),
             start=start.basis,
             effort=effort,
         )
 
-    def completed(self, survey: Survey, wanted: Bool[Array, "*n"]) -> Survey:
-        """The survey with the whole static region, in lanes where it is wanted."""
+    def completed(self, survey: Survey, beyond: Bool[Array, "*n"]) -> Survey:
+        """The survey with the static region itself, where it is needed.
+
+        It is not where the CoM stands in it, and the walk does not lead beyond it: acceleration turns positive at its end.
+
+        Args:
+            survey: of this polygon.
+            beyond: where the walk leads beyond it.
+        """
+        assert survey.effort is not None, "the survey is of another producer"
         fixed = jax.tree.map(jax.lax.stop_gradient, self)
-        wanted &= survey.standing & survey.feasible
-        least, most = _in_turn(
-            [fixed.standing(-1), fixed.standing(1)], [fixed.at_rest] * 2, fixed.ready, [lambda _: wanted, lambda _: wanted]
-        )
+        wanted = survey.feasible & beyond | ~(survey.effort <= 1)
+        programs = [fixed.standing(-1), fixed.standing(1)]
+        least, most = _in_turn(programs, [fixed.at_rest] * 2, fixed.ready, wanted)
+        standing = jnp.where(wanted, least.outcome != Outcome.INFEASIBLE, survey.standing)
         s_min, s_max = _bounded(self, -1, least), -_bounded(self, 1, most)
         # Ends that meet, but for rounding, are one place.
         middle = jnp.where(s_min > s_max, (s_min + s_max) / 2, 0)
         s_min, s_max = jnp.where(s_min > s_max, middle, s_min), jnp.where(s_min > s_max, middle, s_max)
-        lost = (least.outcome == Outcome.UNDECIDED) | (most.outcome == Outcome.UNDECIDED)
+        lost = (least.outcome == Outcome.UNDECIDED) | (standing & (most.outcome == Outcome.UNDECIDED))
+        here = wanted & standing
         return survey._replace(
-            s_min=jnp.where(wanted, s_min, survey.s_min),
-            s_max=jnp.where(wanted, s_max, survey.s_max),
+            s_min=jnp.where(here, s_min, survey.s_min),
+            s_max=jnp.where(here, s_max, survey.s_max),
+            standing=standing,
+            pulled_back=survey.pulled_back & here & (s_min > 0),
             known=survey.known & ~(wanted & lost),
         )
 
@@ -192,9 +193,9 @@ class ActuatedPolygon(NamedTuple):
         return Program(self.rays, sign * self.per_alpha, self.at_rest.target, self.wider, self.scale, floor)
 
     def holding(self) -> Program:
-        """The program of the effort: z = -1 / effort, for divided by it weights stay weights, and torques come to the limits.
+        """The program of the effort: z = -1 / effort, everything at rest, without the momentum box.
 
-        Everything at rest, without the momentum box.
+        Divided by the effort, weights stay weights, and torques come to the limits.
         """
         floor, bits = jnp.full_like(self.fall, -jnp.inf), jnp.finfo(self.fall.dtype).bits
         moved = APEX[bits] * self.line.slack * self.line.weight * self.mixture
@@ -308,29 +309,40 @@ class _End(NamedTuple):
     outcome: Int[Array, "*n"]
 
 
-def _in_turn(
-    programs: list[Program], loads: list[Load], basis: Basis, active: list[Callable[[_End], Bool[Array, "*n"]]]
-) -> list[_End]:
-    """The ends of programs with the same rays, each from the basis of the one before.
+class _Own(NamedTuple):
+    """What programs with the same rays do not share."""
 
-    active: in which lanes each is solved, by the end of the one before. One loop for all, so that it is compiled once.
+    free: Float[Array, "p m *n"]
+    target: Float[Array, "p m *n"]
+    bound: Float[Array, "p m *n"]
+    floor: Float[Array, "p *n"]
+
+
+def _stacked(programs: list[Program]) -> _Own:
+    """Of all, one behind the other."""
+    return _Own(*(jnp.stack([getattr(one, name) for one in programs]) for name in _Own._fields))
+
+
+def _in_turn(programs: list[Program], loads: list[Load], basis: Basis, active: Bool[Array, "*n"]) -> list[_End]:
+    """The ends of programs with the same rays in active lanes, each from the basis of the one before.
+
+    One loop for all, so that it is compiled once.
     """
     rays, scale, bound = programs[0].rays, programs[0].scale, programs[0].bound
     nothing = _End(basis, jnp.zeros_like(bound), jnp.zeros(scale.shape, jnp.int32))
-    stacked = jax.tree.map(lambda *x: jnp.stack(x), *(one._replace(rays=(), scale=()) for one in programs))
+    stacked = _stacked(programs)
 
     def one(before: _End, step: tuple) -> tuple[_End, _End]:
-        number, program, wrench, exact = step
-        program = program._replace(rays=rays, scale=scale)
-        lanes = jax.lax.switch(number, active, before)
-        solution = simplex.solve(program, simplex.renewed(program, before.basis), lanes)
+        own, wrench, exact = step
+        program = Program(rays, own.free, own.target, own.bound, scale, own.floor)
+        solution = simplex.solve(program, simplex.renewed(program, before.basis), active)
         found = simplex.times(solution.basis.inverse, wrench - solution.basis.side * exact)
         end = _End(solution.basis, found, solution.outcome)
         return end, end
 
     wrenches = jnp.stack([load.wrench for load in loads])
     bounds = jnp.stack([jnp.where(program.bound > 0, bound, 0) for program in programs])
-    ends = jax.lax.scan(one, nothing, (jnp.arange(len(programs)), stacked, wrenches, bounds))[1]
+    ends = jax.lax.scan(one, nothing, (stacked, wrenches, bounds))[1]
     return [jax.tree.map(lambda x, k=k: x[k], ends) for k in range(len(programs))]
 
 
@@ -372,7 +384,12 @@ def _boundary(
 
 
 def _search(
-    polygon: ActuatedPolygon, limit: Array, enough: Array | None, rising: bool, most: int | None, mark: Callable[[Basis], Any]
+    polygon: ActuatedPolygon,
+    limit: Array,
+    enough: Array | None,
+    rising: bool,
+    most: int | None,
+    mark: Callable[[Basis], Any],
 ) -> tuple[Boundary, Any]:
     """The boundary, and the marks of its pieces' bases."""
     walked = limit > 0
@@ -396,13 +413,13 @@ def _first(polygon: ActuatedPolygon, walked: Bool[Array, "*n"]) -> list[_End]:
     spare, widened = polygon.rays, polygon.rays.at[:, -1].set(polygon.per_acceleration)
     floorless = lambda end: walked & ((end.outcome == Outcome.UNBOUNDED) | (end.basis.chosen[0] != FREE))
     before = _End(polygon.ready, jnp.zeros_like(polygon.bound), jnp.zeros(walked.shape, jnp.int32))
-    programs = (one._replace(rays=()) for one in (polygon.at_start(), polygon.standing(1)))
-    stacked = jax.tree.map(lambda *x: jnp.stack(x), *programs)
+    stacked = _stacked([polygon.at_start(), polygon.standing(1)])
 
     def one(before: _End, step: tuple) -> tuple[_End, _End]:
-        number, program, wrench = step
+        number, own, wrench = step
         lanes = jnp.where(number == 0, walked, floorless(before))
-        program = program._replace(rays=jax.lax.cond(number == 0, lambda: spare, lambda: widened))
+        rays = jax.lax.cond(number == 0, lambda: spare, lambda: widened)
+        program = Program(rays, own.free, own.target, own.bound, polygon.scale, own.floor)
         basis = jax.lax.cond(number == 0, lambda: before.basis, lambda: simplex.begun(program))
         solution = simplex.solve(program, basis, lanes)
         found = simplex.times(solution.basis.inverse, wrench - solution.basis.side * polygon.bound)

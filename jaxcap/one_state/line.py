@@ -130,10 +130,10 @@ def _finite_cone(cone: Cone) -> Bool[Array, "*n"]:
 def _line(polygon: Producer, survey: Survey, quick: bool) -> Line:
     """quick: without what only some states need, a lower boundary of more than a few pieces, an upper one, swings."""
     polygon = polygon.knowing(survey)
-    standing = survey.standing & survey.feasible
     lower = polygon.boundary(jnp.where(survey.feasible, jnp.inf, 0), most=QUICK if quick else None)
     if isinstance(polygon, ActuatedPolygon) and not quick:
         survey = polygon.completed(survey, lower.ending != End.DIVERGES)
+    standing = survey.standing & survey.feasible
     ahead = standing & (survey.s_min > 0) & survey.pulled_back
     same_alpha = tolerances(survey.s_max.dtype).same_alpha * polygon.size
     hanging = standing & (lower.ending != End.DIVERGES) & (survey.s_max < lower.end - same_alpha)
@@ -142,7 +142,7 @@ def _line(polygon: Producer, survey: Survey, quick: bool) -> Line:
         # Without the end of the lower boundary, what ends the static region says whether the polygon may go on beyond it.
         hanging = jnp.where(unfinished, standing & survey.hangs, hanging)
         if isinstance(polygon, ActuatedPolygon):  # its static region is not known yet
-            hanging = standing & (lower.ending != End.DIVERGES)
+            hanging = ~survey.standing | survey.feasible & (lower.ending != End.DIVERGES)
         skipped = (unfinished + 2 * ahead + 4 * hanging).astype(jnp.int8)
         none = jnp.zeros_like(ahead)
         return Line(polygon, survey, none, none, lower, jax.tree.map(jnp.zeros_like, lower), skipped)

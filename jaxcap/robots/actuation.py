@@ -74,10 +74,12 @@ def actuation(
     check_units(model, rows)
     names = _frames_of(frames)
     points, mask = _contacts(contacts, len(rows), len(names))
-    chain = _joints(model, names, mask.any(axis=0), joints)
+    chain = _joints(model, names, np.asarray(mask.any(axis=0)), joints)
     bound = _limits(model, chain, limits or {}, unlimited)
     pull = np.asarray(checked_gravity(gravity))
-    parts = [_block(model, rows[i : i + BLOCK], points[i : i + BLOCK], chain, pull) for i in range(0, max(len(rows), 1), BLOCK)]
+    parts = [
+        _block(model, rows[i : i + BLOCK], points[i : i + BLOCK], chain, pull) for i in range(0, max(len(rows), 1), BLOCK)
+    ]
     jacobians, torque = (np.concatenate(part) for part in zip(*parts, strict=True))
     carries = np.array([joint.carries for joint in chain]).reshape(len(chain), -1)
     touching = (mask[:, None] & carries[None]).any(axis=2) & np.isfinite(bound)
@@ -163,7 +165,11 @@ def _limits(model: pin.Model, joints: list[_Joint], given: Mapping[str, float], 
 
 
 def _block(
-    model: pin.Model, q: np.ndarray, points: Float[np.ndarray, "n k 3"], joints: list[_Joint], gravity: Float[np.ndarray, "3"]
+    model: pin.Model,
+    q: np.ndarray,
+    points: Float[np.ndarray, "n k 3"],
+    joints: list[_Joint],
+    gravity: Float[np.ndarray, "3"],
 ) -> tuple[Float[np.ndarray, "n k 3 j"], Float[np.ndarray, "n j"]]:
     """Jacobians of the contacts, and torques that hold the joints, per unit mass."""
     found = links(model, q, np.zeros((len(q), model.nv)))
