@@ -56,9 +56,9 @@ class WrenchLine(NamedTuple):
     """`Tolerances.slack` for this state: of the stance or of the CoM's distance from it, and never less than what the
     positions themselves may be rounded by, which is more where they are far from the world's origin [-]."""
 
-    def slack_at(self, acceleration: Float[Array, "*n"] | float) -> Float[Array, "*n"]:
-        """By how much a face may be missed at an acceleration [m/s^2]: relative to the force there."""
-        return self.slack * (jnp.abs(acceleration - self.fall) + self.sideways)
+    def slack_at(self, beyond: Float[Array, "*n"]) -> Float[Array, "*n"]:
+        """By how much a face may be missed at an acceleration so far beyond free fall [m/s^2]: relative to its force."""
+        return self.slack * (jnp.abs(beyond) + self.sideways)
 
 
 def wrench_line(
