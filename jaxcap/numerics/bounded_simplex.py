@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxcap.numerics.guarded import tolerances
-from jaxcap.numerics.simplex import FREE, LOST_UNIT, SMALLER, UNIT, Outcome, first_of
+from jaxcap.numerics.simplex import FREE, LOST_UNIT, SMALLEST, UNIT, Outcome, first_of
 
 PIVOTS = 40, 8
 """Most pivots of one program: so many, and so many for each row."""
@@ -251,7 +251,7 @@ class SimplexState(NamedTuple):
     """No column takes over from those that are left of hard rows: these may be as large as the slack."""
     steps: Int[Array, ""]
     again: Bool[Array, "*n"]
-    """A fall without end has been asked for once more."""
+    """The search has been asked for once more."""
     checked: Bool[Array, ""]
     """All have come to an end with inverses that are to be trusted."""
     room: Float[Array, "m *n"]
@@ -270,29 +270,40 @@ def solve(program: Program, basis: Basis, active: Bool[Array, "*n"]) -> Solution
     most = PIVOTS[0] + PIVOTS[1] * len(program.target)
 
     def one(state: SimplexState) -> SimplexState:
-        return jax.lax.cond(jnp.any(state.running), lambda: _step(program, state), lambda: _checked(program, state))
+        searching = jnp.any(state.running) & (state.steps < most)
+        return jax.lax.cond(searching, lambda: _step(program, state), lambda: _checked(program, state))
 
-    return jax.lax.while_loop(lambda state: ~state.checked & (state.steps < most), one, start).solution
+    return jax.lax.while_loop(lambda state: ~state.checked, one, start).solution
 
 
 def _checked(program: Program, state: SimplexState) -> SimplexState:
     """Where pivots have spoilt an inverse beyond repair, its end was none: from a new one the search goes on, once.
 
-    So it does, with a better inverse, where z falls without end: errors of the inverse may look like a way to fall.
+    So it does, with a better inverse, where z falls without end: errors of the inverse may look like a way to fall. And once
+    from the very beginning where it has found no end: another way may lead past the pivots that are too small.
     """
     solution = state.solution
     better, error = improved(program, solution.basis)
+    first = ~state.again
     worn = ~(error <= _SPOILT[jnp.finfo(error.dtype).bits]) & (solution.outcome != Outcome.UNDECIDED)
-    endless = (solution.outcome == Outcome.UNBOUNDED) & ~state.again
+    endless = (solution.outcome == Outcome.UNBOUNDED) & first
+    lost = state.running & first
 
-    def anew():
-        return jnp.where(worn, inverse_of(program, solution.basis).inverse, better.inverse)
+    def anew() -> Basis:
+        repaired = better._replace(inverse=jnp.where(worn, inverse_of(program, solution.basis).inverse, better.inverse))
+        return jax.tree.map(lambda new, old: jnp.where(lost, new, old), begun(program), repaired)
 
-    inverse = jax.lax.cond(jnp.any(worn), anew, lambda: better.inverse)
-    running = (worn & ~state.again) | endless
-    basis = solution.basis._replace(inverse=inverse)
-    again = state.again | running
-    return state._replace(solution=solution._replace(basis=basis), running=running, again=again, checked=~jnp.any(running))
+    basis = jax.lax.cond(jnp.any(worn | lost), anew, lambda: better)
+    running = (worn & first) | endless | lost
+    return SimplexState(
+        solution=solution._replace(basis=basis),
+        running=running,
+        flat=state.flat & ~lost,
+        steps=jnp.where(jnp.any(lost), 0, state.steps),
+        again=state.again | running,
+        checked=~jnp.any(running),
+        room=jnp.where(lost, of_units(program.bound, basis.chosen), state.room),
+    )
 
 
 class Held(NamedTuple):
@@ -417,9 +428,11 @@ def _leaving(
     bland = 1 / (2.0 + jnp.abs(basis.chosen)).astype(size.dtype)
     preferred = jnp.where(late, bland, size)
     bound = tolerances(size.dtype).pivot
-    large = falls & (size > bound)
-    # Where all pivots are small, a small one.
-    falls = jnp.where(jnp.any(large, axis=0), large, falls & (size > SMALLER * bound))
+    # A small pivot only where there is no other, or where to leave it out would push a column far out of its bounds.
+    large, falls = falls & (size > bound), falls & (size > SMALLEST[jnp.finfo(size.dtype).bits])
+    step = jnp.min(jnp.where(large, (above + held.zero) / jnp.where(large, size, 1), jnp.inf), axis=0)
+    pushed = jnp.any(falls & ~large & (above + held.zero < step * size), axis=0)
+    falls = jnp.where(pushed, falls, large)
     safe = jnp.where(falls, size, 1)
     within = jnp.min(jnp.where(falls, (above + held.zero) / safe, jnp.inf), axis=0)
     # Compared as quotients on both sides: a product could round down, and the very column that sets the bound be left out.
