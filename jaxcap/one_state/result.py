@@ -81,7 +81,7 @@ class Capturability(NamedTuple):
     residual_speed: Float[Array, "..."]
     """Speed that is left where the walk ends in C1 or C2 [m/s], zero where it stops."""
     effort: Float[Array, "..."]
-    """Share of the robot's torque limits that holding still takes where it is [-]; above one the posture cannot be held, and
+    """Share of the robot's torque limits that holding still takes where it is; above one the posture cannot be held, and
     is not capturable. Infinite where no torques hold it; NaN without actuation."""
 
     def __repr__(self) -> str:

@@ -2,7 +2,8 @@
 
 Begin with `models` (a robot by name or file) and `logs` (a log and its robot in, rows to score out), which goes through
 `layouts` (which field is what), `readers` (bytes to fields), `motion` (conventions undone), `checks`, `touch` (contacts) and
-`whole_body` (what is scored of a robot state). May import `numerics`, `contacts` and `files`.
+`whole_body` (what is scored of a robot state). `torque_limits` is what its joints can bear there.
+May import `numerics`, `contacts` and `files`.
 """
 
 try:
@@ -10,7 +11,6 @@ try:
 except ImportError as error:
     raise ImportError('jaxcap.robots needs Pinocchio: pip install "jaxcap[robots]"') from error
 
-from jaxcap.robots.actuation import actuation as actuation
 from jaxcap.robots.centroidal import CentroidalStates as CentroidalStates
 from jaxcap.robots.centroidal import centroidal_states as centroidal_states
 from jaxcap.robots.centroidal import convention_error as convention_error
@@ -38,4 +38,5 @@ from jaxcap.robots.patches import contact_placement as contact_placement
 from jaxcap.robots.patches import patches_yaml as patches_yaml
 from jaxcap.robots.patches import read_patches as read_patches
 from jaxcap.robots.soles import find_patches as find_patches
+from jaxcap.robots.torque_limits import actuation as actuation
 from jaxcap.robots.touch import Touching as Touching
