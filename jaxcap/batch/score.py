@@ -13,7 +13,7 @@ from jaxcap.batch.rounds import Shared, States, scored_block
 from jaxcap.batch.second_opinion import decided
 from jaxcap.contacts.cone import CentroidalCone, ConeRays
 from jaxcap.contacts.conventions import GRAVITY, ArrayLike, checked_gravity
-from jaxcap.contacts.scoring_input import check_cone, relative, rounded
+from jaxcap.contacts.scoring_input import check_cone, relative, rounded, unless_zero
 from jaxcap.one_state.result import Capturability
 
 
@@ -23,6 +23,8 @@ def score(
     com_velocities: ArrayLike,
     gravity: ArrayLike = GRAVITY,
     neighbours: bool = False,
+    *,
+    specific_angular_momentum: ArrayLike | None = None,
 ) -> Capturability:
     """`capturability` of many states.
 
@@ -38,6 +40,8 @@ def score(
         gravity: (3,) [m/s^2].
         neighbours: rows that follow each other are similar states, as along a trajectory or on a grid, and rays start each
             from the one before (a warm start); the answers are the same but for rounding.
+        specific_angular_momentum: (n, 3) the robot's angular momentum about its CoM, over its mass, in the frame of the
+            contacts [m^2/s]; None for zero, the paper's model. See `capturability`.
 
     Returns:
         Every field has shape (n,). The inputs' dtype decides the precision, as far as JAX's x64 switch allows. A state with
@@ -51,16 +55,18 @@ def score(
     """
     check_cone(cone)
     checked_gravity(gravity, finite=False)
-    _check_shapes(cone, coms, com_velocities)
+    _check_shapes(cone, coms, com_velocities, specific_angular_momentum)
     cone, coms = relative(cone, coms)
     coms, com_velocities = jnp.asarray(rounded(coms)), jnp.asarray(rounded(com_velocities))
+    momenta = unless_zero(rounded(specific_angular_momentum))
+    momenta = None if momenta is None else jnp.asarray(momenta)
     own = cone if isinstance(cone, ConeRays) and cone.batched else None
-    states = States(coms, com_velocities, own)
+    states = States(coms, com_velocities, own, momenta)
     shared = Shared(jnp.asarray(gravity, jnp.result_type(coms, jnp.float32)), None if own else padded_cone(cone))
     if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves((states, shared.cone))):
         return scored_block(shared, states, neighbours)
     found = _over_devices(shared, states, neighbours)
-    return decided(cone, coms, com_velocities, gravity, found) if isinstance(cone, ConeRays) else found
+    return decided(cone, states, gravity, found) if isinstance(cone, ConeRays) else found
 
 
 def _over_devices(shared: Shared, states: States, neighbours: bool) -> Capturability:
@@ -74,14 +80,17 @@ def _over_devices(shared: Shared, states: States, neighbours: bool) -> Capturabi
     return over_blocks(lambda start: spread(everywhere, block_of(states, n, start, block, shares)), n, block)
 
 
-def _check_shapes(cone: CentroidalCone | ConeRays, coms: Any, com_velocities: Any) -> None:
+def _check_shapes(cone: CentroidalCone | ConeRays, coms: Any, com_velocities: Any, momenta: Any) -> None:
     """Raises TypeError."""
-    for name, value in (("coms", coms), ("com_velocities", com_velocities)):
+    given = {"coms": coms, "com_velocities": com_velocities, "specific_angular_momentum": momenta}
+    vectors = {name: value for name, value in given.items() if name != "specific_angular_momentum" or value is not None}
+    for name, value in vectors.items():
         if np.ndim(value) != 2 or np.shape(value)[1] != 3:
             raise TypeError(f"{name} has shape {np.shape(value)} (expected (n, 3))")
     n = len(coms)
-    if n != len(com_velocities):
-        raise TypeError(f"coms has {n} rows and com_velocities {len(com_velocities)} (expected as many)")
+    for name, value in vectors.items():
+        if len(value) != n:
+            raise TypeError(f"coms has {n} rows and {name} {len(value)} (expected as many)")
     if isinstance(cone, ConeRays) and cone.batched and len(cone.rays) != n:
         raise TypeError(f"cone has rays of {len(cone.rays)} contact sets (expected one, or one for each of {n} states)")
 

@@ -98,27 +98,36 @@ class Polygon(NamedTuple):
 
 
 def polygon(
-    cone: CentroidalCone, com: Float[Array, "3 *n"], along: Float[Array, "3 *n"], gravity: Float[Array, "3"]
+    cone: CentroidalCone,
+    com: Float[Array, "3 *n"],
+    along: Float[Array, "3 *n"],
+    gravity: Float[Array, "3"],
+    spin: Float[Array, "3 *n"] | None = None,
 ) -> Polygon:
     """The polygon of a CoM that moves on the line com + alpha * along, Section III-A.
 
-    com: [m]. along: unit vectors (zero: every row bounds nothing, or forbids everything). gravity: [m/s^2].
+    com: [m]. along: unit vectors (zero: every row bounds nothing, or forbids everything). gravity: [m/s^2]. spin: of
+    `wrench_line` [m].
     """
     faces = jnp.asarray(cone.padded(1).faces, com.dtype)  # a cone that is all of space has no face
-    line = wrench_line(cone.origin, cone.length, com, along, gravity)
+    line = wrench_line(cone.origin, cone.length, com, along, gravity, spin)
     wrenches = jnp.stack([line.per_acceleration, line.per_alpha, line.across], axis=1)
     rows = jnp.tensordot(faces, wrenches, axes=1, precision=jax.lax.Precision.HIGHEST)
     # What a CoM moved by the slack, or a velocity turned by it, could make zero, is zero. A deceleration that is all slack
     # would stop the robot in the end, however far away.
-    on_acceleration = without_noise(rows[:, 0], line.slack)
+    on_acceleration = without_noise(rows[:, 0], line.slack_of_acceleration)
     steepest = line.weight / line.length
+    bound = snapped(rows[:, 2] + on_acceleration * line.fall, line.slack * line.weight)
+    if cone.offsets is not None:
+        offsets = jnp.asarray(cone.padded(1).offsets, com.dtype)
+        bound = bound + offsets.reshape(-1, *[1] * (bound.ndim - 1))
     return _stored(
         Polygon(
             on_acceleration=on_acceleration,
             on_alpha=without_noise(rows[:, 1], line.slack * steepest),
-            bound=snapped(rows[:, 2] + on_acceleration * line.fall, line.slack * line.weight),
+            bound=bound,
             line=line,
-            top=(line.remoteness, steepest),
+            top=(line.largest, steepest),
             size=line.length * line.remoteness,
         )
     )

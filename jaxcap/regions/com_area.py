@@ -124,7 +124,8 @@ def _sides(
     arm: list[tuple[float | None, float | None]] = [(None, None)] * 3
     if isinstance(cone, CentroidalCone):
         faces = np.asarray(cone.faces, float)
-        limits = {"A_ub": faces[:, 3:] * length @ turn, "b_ub": -faces[:, :3] @ up}
+        box = 0 if cone.offsets is None else np.asarray(cone.offsets, float) / np.linalg.norm(gravity)
+        limits = {"A_ub": faces[:, 3:] * length @ turn, "b_ub": box - faces[:, :3] @ up}
         bounds = arm
     else:
         rays = np.asarray(cone.rays, float).T / np.array([1, 1, 1, length, length, length])[:, None]
