@@ -1,4 +1,4 @@
-"""Angular momentum of the state: one vector beside c x v, in both forms of the cone, against the reference and by its laws."""
+"""Angular momentum of the state, one vector beside c x v: both forms of the cone, against the reference, and its laws."""
 
 import jax
 import jax.numpy as jnp

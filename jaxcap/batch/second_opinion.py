@@ -57,16 +57,17 @@ def decided(cone: ConeRays, states: States, gravity: ArrayLike, found: Capturabi
 
 def _state(cone: ConeRays, states: States, row: int) -> _State | None:
     """None where the rays have no faces."""
-    own = (np.asarray(field[row] if cone.batched else field, float) for field in (cone.rays, cone.origin, cone.length))
+    own = lambda field: np.asarray(field[row] if cone.batched else field, float)
     try:
-        faces = projected(*own)
+        faces = projected(own(cone.rays), own(cone.origin), own(cone.length))
     except ProjectionError:
         return None
     size = ROWS
     while size < len(faces.faces):
         size *= 4  # few sizes: each is compiled
-    given = states.coms, states.com_velocities, states.specific_angular_momenta
-    return _State(faces.padded(size), *(None if field is None else np.asarray(field[row], float) for field in given))
+    of_row = lambda vectors: np.asarray(vectors[row], float)
+    momentum = None if states.specific_angular_momenta is None else of_row(states.specific_angular_momenta)
+    return _State(faces.padded(size), of_row(states.coms), of_row(states.com_velocities), momentum)
 
 
 _compiled = jax.jit(capturability)

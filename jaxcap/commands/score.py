@@ -89,14 +89,15 @@ def score(
             print(f"note: {states}: column {MOMENTUM!r} does not count without --mass", file=sys.stderr)
         described = _contacts(states, source.contacts, contacts, sets)
         size = min(batch_size, source.rows)
-        fields, more = dict(FIELDS), {}
+        fields = dict(FIELDS)
+        more: dict[str, Any] = {} if mass is None else {"mass": mass}
         if baselines:
             refuse_clashes(states, source.types, BASELINES)
-            fields, more = FIELDS | BASELINES, {"capture_point_height": ABOVE_CONTACTS if height is None else height}
-        more |= {"momentum": source.momentum} | ({} if mass is None else {"mass": mass})
+            fields = FIELDS | BASELINES
+            more["capture_point_height"] = ABOVE_CONTACTS if height is None else height
         scorer = scorer_of(described, contacts, size, sides, neighbours)
         answer = partial(_answered, scorer, baselines=baselines, height=height)
-        metadata = describe(described, GRAVITY, sides, np.dtype(dtype), fields, **more)
+        metadata = describe(described, GRAVITY, sides, np.dtype(dtype), fields, source.momentum, **more)
         run = _Run(answer, scorer, strict)
         options: dict[str, Any] = {"fields": fields, "about": source.about, "force": force}
         with write_scores(output, source.types, metadata, dtype, **options) as sink:

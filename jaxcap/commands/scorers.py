@@ -103,8 +103,8 @@ class Scorer(ABC):
             The answers, and the rows whose contacts cannot be used.
         """
         parts, bad, coms = self._cut(contacts, coms)
-        of = lambda part, vectors: None if vectors is None else vectors[part.rows]
-        outs = [self._score(part, *(of(part, vectors) for vectors in (coms, com_velocities, momenta))) for part in parts]
+        spinning = lambda part: None if momenta is None else momenta[part.rows]
+        outs = [self._score(part, coms[part.rows], com_velocities[part.rows], spinning(part)) for part in parts]
         return Scored(_in_order(parts, outs), bad)
 
     def baselines(

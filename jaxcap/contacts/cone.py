@@ -55,7 +55,8 @@ def centroidal_cone(contacts: ContactSet, sides: int = 4, momentum_box: float = 
         The faces, in double precision. They hold for any mass. With a box there are about twice as many.
 
     Raises:
-        ValueError: for an empty set, sides < 3, a box that is negative or not finite, or contacts under a JAX transformation (`cone_rays` takes those).
+        ValueError: for an empty set, sides < 3, a box that is negative or not finite, or contacts under a JAX transformation
+            (`cone_rays` takes those).
         ProjectionError: a ValueError, where the faces found do not pass their check against the rays.
 
     Source: Caron, Pham, Nakamura, Leveraging Cone Double Description for Multi-contact Stability, RSS 2015.

@@ -14,7 +14,7 @@ from numpy.lib import format as npy
 
 from jaxcap.errors import InputError
 from jaxcap.files.bad_rows import BadRows
-from jaxcap.files.columns import METADATA, StateBatch, refuse_clashes, to_json
+from jaxcap.files.columns import METADATA, SPECIFIC, VECTORS, StateBatch, refuse_clashes, to_json
 from jaxcap.files.contact_columns import (
     CHOICE,
     MASK,
@@ -273,7 +273,7 @@ def _from_arrow(field: Any) -> np.dtype:
     """The NumPy type of an Arrow column. A vector has three entries, whatever its type says of lengths."""
     from jaxcap.files.arrow_columns import is_ragged, numpy_type, vector_type
 
-    if field.name in VECTORS and is_ragged(field.type):
+    if field.name in (*VECTORS, SPECIFIC) and is_ragged(field.type):
         return np.dtype((vector_type(field.type), (3,)))
     return numpy_type(field.type, f"column {field.name!r}")
 
@@ -282,6 +282,6 @@ def _to_numpy(name: str, column: Any) -> np.ndarray:
     """An Arrow column as an array of that type."""
     from jaxcap.files.arrow_columns import is_ragged, to_numpy, vector_type, vectors
 
-    if name in VECTORS and is_ragged(column.type):
+    if name in (*VECTORS, SPECIFIC) and is_ragged(column.type):
         return vectors(column, vector_type(column.type))
     return to_numpy(column, f"column {name!r}")

@@ -75,7 +75,7 @@ class StateFile(AbstractContextManager["StateFile"]):
         com, com_velocity = (vectors[vector] for vector in VECTORS)
         momenta = vectors.get(SPECIFIC)
         if momenta is not None and self.mass is not None:
-            momenta = momenta / self.dtype.type(self.mass)
+            momenta = (momenta / self.mass).astype(self.dtype)
         return StateBatch(com, com_velocity, columns, bad, contacts, momenta)
 
     def close(self) -> None:

@@ -234,7 +234,8 @@ def _of_block(
         answer = partial(_at, fields=options.fields)
     else:
         answer = partial(capturability_along, speeds=speeds, fields=options.fields)
-    states = States(*(None if vector is None else jnp.asarray(vector.T) for vector in (com, along, None, momenta)))
+    spinning = None if momenta is None else jnp.asarray(momenta.T)
+    states = States(jnp.asarray(com.T), jnp.asarray(along.T), specific_angular_momenta=spinning)
     return in_two_rounds(Shared(gravity, cone), states, answer=answer)
 
 

@@ -207,7 +207,7 @@ def axes_around(contacts: ContactSet | Iterable[ContactSet], axes: Mapping[str, 
 def look_up(
     tables: Mapping[str, FloatArray], places: Mapping[str, Int[FloatArray, " n"]]
 ) -> tuple[Float[FloatArray, "3 n"], Float[FloatArray, "3 n"]]:
-    """CoM (3, n) [m], and velocity [m/s] or, of polar axes without a speed, direction (3, n), at these places of the tables."""
+    """CoM (3, n) [m], and velocity [m/s] or, of polar axes without a speed, direction (3, n), at these places."""
     xp = np if isinstance(next(iter(places.values())), np.ndarray) else jnp
     at = lambda name: tables[name][..., places[name]]
     if "heading" not in tables:

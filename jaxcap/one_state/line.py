@@ -74,7 +74,8 @@ def motion_of_lanes(
 ) -> Motion:
     """States side by side, lanes last, on their lines of travel.
 
-    specific_angular_momentum: as `capturability` has it [m^2/s]. survey: from `survey_of_lanes`, if it is known. quick: only what most states need; `Line.skipped` says which need more.
+    survey: from `survey_of_lanes`, if it is known. quick: only what most states need; `Line.skipped` says which need more.
+    specific_angular_momentum: as `capturability` has it [m^2/s].
     """
     cut = _cut(cone, com, com_velocity, gravity, specific_angular_momentum)
     line = _line(cut.polygon, cut.polygon.survey() if survey is None else survey, quick)
@@ -127,8 +128,8 @@ class _Spun(NamedTuple):
 def _spun(
     along: Float[Array, "3 *n"], speed: Float[Array, "*n"], momentum: Float[Array, "3 *n"], length: Float[Array, "*#n"]
 ) -> _Spun:
-    """The spin of a state. Beside it, a CoM may be so slow that its momentum is lost in the rounding of the angular momentum:
-    it then counts as at rest, where the spin is zero.
+    """The spin of a state. A CoM may be so slow that its momentum is lost in the rounding of the angular momentum: it then
+    counts as at rest, where the spin is zero.
 
     That is the limit: the slower the CoM, the shorter the way on which it takes the angular momentum along to rest, and what
     is left to ask is whether it can stand where it is.

@@ -12,10 +12,11 @@ moved a little, however small f is: near free fall f vanishes, and gravity is no
 computed without cancellation, and all slack is relative to |beyond| + |across|.
 
 Angular momentum. The robot's own, about the CoM, comes to rest in proportion to the CoM's speed: per unit mass it is
-spin * alphadot, with spin = L / (m |cdot|) of the state, so its rate is spin * acceleration: one vector beside c x v, and the
-polygon stays a polygon. It is zero where the CoM is at rest, and where the CoM turns back it turns too: seen along -v the
-spin is -spin, for it is the ratio of two vectors of which both change their sign, or none. What is said above of the force
-is then said of the wrench: `fall` is the acceleration at which it is smallest, g . v / (1 + |spin|^2 / length^2).
+L / m = spin * alphadot, with the state's spin = L / (m |cdot|), so its rate is spin * acceleration: one vector beside c x v,
+and the polygon stays a polygon. So it is zero where the CoM comes to rest, and where the CoM swings back it has turned too:
+the ratio of L to the momentum m alphadot v is the same all along the line, whence the spin along -v is -spin, as c x v turns
+to c x -v. What is said above of the force is then said of the wrench: `fall` is the acceleration at which it is smallest,
+g . v / (1 + |spin|^2 / length^2).
 """
 
 from typing import NamedTuple
@@ -135,8 +136,8 @@ def wrench_line(
 def _spinning(line: WrenchLine, spin: Float[Array, "3 *n"]) -> WrenchLine:
     """The same with angular momentum.
 
-    Where the spin is long, little acceleration is left, and to count it from free fall would lose it in the difference: so it
-    is counted from where the wrench is smallest.
+    Where the spin is long, little acceleration is left, and to count it from free fall would lose it in the difference: so
+    it is counted from where the wrench is smallest.
     """
     lever = jnp.sqrt(jax.lax.stop_gradient(jnp.sum(spin * spin, axis=0))) / line.length
     fall = line.fall / (1 + lever**2)
