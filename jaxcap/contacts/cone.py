@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from jaxcap.contacts.contact_set import ContactSet
-from jaxcap.contacts.conventions import SAME_PLACE, SAME_PLACE_ERRORS, FloatArray
+from jaxcap.contacts.conventions import SAME_PLACE, SAME_PLACE_ERRORS, ArrayLike, FloatArray
 from jaxcap.contacts.friction import STICKIEST, wrench_rays
 from jaxcap.contacts.projection import ProjectionError, boxed_faces, cone_faces
 
@@ -41,7 +41,7 @@ class CentroidalCone(NamedTuple):
         return self._replace(faces=xp.pad(self.faces, ((0, extra), (0, 0))), offsets=offsets)
 
 
-def centroidal_cone(contacts: ContactSet, sides: int = 4, momentum_box: float = 0.0) -> CentroidalCone:
+def centroidal_cone(contacts: ContactSet, sides: int = 4, momentum_box: ArrayLike = 0.0) -> CentroidalCone:
     """Project the contacts' friction pyramids to the faces of the centroidal cone (6); host only, once a contact set.
 
     Args:
@@ -61,9 +61,10 @@ def centroidal_cone(contacts: ContactSet, sides: int = 4, momentum_box: float = 
 
     Source: Caron, Pham, Nakamura, Leveraging Cone Double Description for Multi-contact Stability, RSS 2015.
     """
-    if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(contacts)):
+    if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves((contacts, momentum_box))):
         raise ValueError("centroidal_cone works on the host, once for each contact set: call it outside jit, vmap and grad")
-    if not (np.ndim(momentum_box) == 0 and 0 <= momentum_box < np.inf):
+    box = np.asarray(momentum_box)
+    if not (box.ndim == 0 and box.dtype.kind in "iuf" and 0 <= box < np.inf):
         raise ValueError(f"momentum_box = {momentum_box} (expected a number of m^2/s^2, not negative)")
     active = jax.tree.map(lambda leaf: np.asarray(leaf)[np.asarray(contacts.mask)], contacts)
     if len(active) == 0:
@@ -72,7 +73,7 @@ def centroidal_cone(contacts: ContactSet, sides: int = 4, momentum_box: float = 
     length = np.linalg.norm(active.points - origin, axis=1).max()
     length = length if length > _same_place(active) else 1.0
     try:
-        return projected(np.asarray(wrench_rays(active, sides, origin)), origin, np.asarray(length), float(momentum_box))
+        return projected(np.asarray(wrench_rays(active, sides, origin)), origin, np.asarray(length), float(box))
     except ProjectionError as error:
         raise ProjectionError(f"faces of {len(active)} contacts with {sides} sides: {error}") from error
 
