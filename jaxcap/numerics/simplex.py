@@ -35,8 +35,8 @@ LOST_UNIT = 8
 """How much rather a unit column leaves than a ray, where the free variable comes in."""
 LEAST_FIT = 1e-3
 """A free column fits in another's place if its own share of it is at least this much of the largest."""
-SMALLER = 0.1
-"""Pivots this much smaller than wanted are taken where there is no other."""
+SMALLEST = {64: 1e-12, 32: 1e-5}
+"""Smallest pivot that is taken where there is no other, or where to leave it out would push a weight below zero."""
 WORN = 0.1
 """Largest error of an inverse that a Newton step may mend: it squares the error."""
 
@@ -247,7 +247,7 @@ class SimplexState(NamedTuple):
     """No ray takes over from the unit columns that are left: their weights may be as large as the slack."""
     steps: Int[Array, ""]
     again: Bool[Array, "*n"]
-    """A fall without end has been asked for once more."""
+    """The search has been asked for once more."""
     checked: Bool[Array, ""]
     """All have come to an end with inverses that are to be trusted."""
 
@@ -263,29 +263,38 @@ def solve(program: Program, basis: Basis, active: Bool[Array, "*n"]) -> Solution
     start = SimplexState(solution, active, ~active, jnp.int32(0), ~active, jnp.zeros((), bool))
 
     def one(state: SimplexState) -> SimplexState:
-        return jax.lax.cond(jnp.any(state.running), lambda: _step(program, state), lambda: _checked(program, state))
+        searching = jnp.any(state.running) & (state.steps < MAX_PIVOTS)
+        return jax.lax.cond(searching, lambda: _step(program, state), lambda: _checked(program, state))
 
-    last = jax.lax.while_loop(lambda state: ~state.checked & (state.steps < MAX_PIVOTS), one, start)
-    return last.solution
+    return jax.lax.while_loop(lambda state: ~state.checked, one, start).solution
 
 
 def _checked(program: Program, state: SimplexState) -> SimplexState:
-    """Where pivots have spoilt an inverse beyond repair, its end was none: from a new one the search goes on, once.
+    """Where pivots have spoilt an inverse beyond repair, its end was none: from a new one the search goes on.
 
-    So it does, with a better inverse, where z falls without end: errors of the inverse may look like a way to fall.
+    So it does, once, with a better inverse where z falls without end: errors of the inverse may look like a way to fall. And
+    once from the very beginning where it has found no end: another way may lead past the pivots that are too small.
     """
-    solution = state.solution
+    solution, late = state.solution, state.steps >= MAX_PIVOTS
     better, error = _newton(program, solution.basis)
-    worn = (error > _SPOILT[jnp.finfo(error.dtype).bits]) & (solution.outcome != Outcome.UNDECIDED)
+    worn = (error > _SPOILT[jnp.finfo(error.dtype).bits]) & (solution.outcome != Outcome.UNDECIDED) & ~late
     endless = (solution.outcome == Outcome.UNBOUNDED) & ~state.again
+    lost = state.running & ~state.again
 
     def anew():
-        return jax.tree.map(lambda new, old: jnp.where(worn, new, old), factorised(program, solution.basis.chosen), better)
+        beginning = jnp.full_like(solution.basis.chosen, UNIT).at[0].set(FREE)
+        basis = factorised(program, jnp.where(lost, beginning, solution.basis.chosen))
+        return jax.tree.map(lambda new, old: jnp.where(worn | lost, new, old), basis, better)
 
-    basis = jax.lax.cond(jnp.any(worn), anew, lambda: better)
-    running = worn | endless
-    again = state.again | endless
-    return state._replace(solution=solution._replace(basis=basis), running=running, again=again, checked=~jnp.any(running))
+    basis = jax.lax.cond(jnp.any(worn | lost), anew, lambda: better)
+    running = worn | endless | lost
+    return state._replace(
+        solution=solution._replace(basis=basis),
+        running=running,
+        steps=jnp.where(jnp.any(lost), 0, state.steps),
+        again=state.again | endless | lost,
+        checked=~jnp.any(running),
+    )
 
 
 def _step(program: Program, state: SimplexState) -> SimplexState:
@@ -384,10 +393,11 @@ def _leaving(
     above = jnp.where(missing, jnp.abs(held.weights), jnp.where(is_unit, 0, jnp.maximum(held.weights, 0)))
     bland = 1 / (2.0 + jnp.abs(basis.chosen)).astype(size.dtype)
     preferred = jnp.where(late, bland, size)
-    bound = tolerances(size.dtype).pivot
-    large = falls & (size > bound)
-    # Where all pivots are small, a small one.
-    falls = jnp.where(jnp.any(large, axis=0), large, falls & (size > SMALLER * bound))
+    large = falls & (size > tolerances(size.dtype).pivot)
+    falls = falls & (size > SMALLEST[jnp.finfo(size.dtype).bits])
+    step = jnp.min(jnp.where(large, (above + zero) / jnp.where(large, size, 1), jnp.inf), axis=0)
+    pushed = jnp.any(falls & ~large & (above + zero < step * size), axis=0)
+    falls = jnp.where(pushed, falls, large)
     return leaving_of(falls, above, size, zero, preferred)
 
 

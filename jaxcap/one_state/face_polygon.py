@@ -20,7 +20,7 @@ from jaxcap.one_state.wrench_line import WrenchLine, wrench_line
 
 
 class Polygon(NamedTuple):
-    """All (alpha, acceleration) with `on_acceleration * acceleration + on_alpha * alpha <= bound`, row by row, (11).
+    """All (alpha, acceleration) with on_acceleration * (acceleration - fall) + on_alpha * alpha <= beyond, row by row, (11).
 
     alpha is the distance along the line of travel from the start [m], acceleration is along the line [m/s^2].
     """
@@ -29,8 +29,11 @@ class Polygon(NamedTuple):
     """[-]; a row < 0 bounds the acceleration from below, > 0 from above, = 0 bounds alpha alone."""
     on_alpha: Float[Array, "m *n"]
     """[1/s^2]"""
-    bound: Float[Array, "m *n"]
-    """[m/s^2]"""
+    beyond: Float[Array, "m *n"]
+    """[m/s^2]; of the force beyond free fall: zero where nothing of gravity is across the line. Spin and a momentum box add to
+    it."""
+    fall: Float[Array, "*n"]
+    """`WrenchLine.fall` [m/s^2]."""
     line: WrenchLine
     """What the rows were made of."""
     top: tuple[Float[Array, "*n"], Float[Array, "*n"]]
@@ -40,9 +43,19 @@ class Polygon(NamedTuple):
     start: tuple[Float[Array, "*n"], ...] = ()
     """What the survey knows of the walk: the smallest acceleration at alpha = 0, and where a polygon without one ends."""
 
+    @property
+    def bound(self) -> Float[Array, "m *n"]:
+        """Of `on_acceleration * acceleration + on_alpha * alpha` [m/s^2]."""
+        return snapped(self.beyond + self.on_acceleration * self.fall, self.line.slack * self.line.weight)
+
+    def values(self) -> Float[Array, "m *n"]:
+        """The acceleration at alpha = 0 that each row bounds [m/s^2]: zero where that is all slack."""
+        value = ratio(self.beyond, self.on_acceleration) + self.fall
+        return snapped(value, ratio(self.line.slack * self.line.weight, jnp.abs(self.on_acceleration)))
+
     def flipped(self) -> "Polygon":
         """With the acceleration's sign turned: its lower boundary is minus the upper boundary of this one."""
-        return _stored(self._replace(on_acceleration=-self.on_acceleration, start=()))
+        return _stored(self._replace(on_acceleration=-self.on_acceleration, fall=-self.fall, start=()))
 
     def seen_from(self, start: Float[Array, "*n"], heading: int | Float[Array, ""]) -> "Polygon":
         """With alpha counted from `start`, onwards (heading +1) or back (-1); so is the acceleration."""
@@ -50,7 +63,8 @@ class Polygon(NamedTuple):
             self._replace(
                 on_acceleration=heading * self.on_acceleration,
                 on_alpha=heading * self.on_alpha,
-                bound=self.bound - self.on_alpha * start,
+                beyond=self.beyond - self.on_alpha * start,
+                fall=heading * self.fall,
                 start=(),
             )
         )
@@ -61,26 +75,28 @@ class Polygon(NamedTuple):
 
     def survey(self, near: Any = None) -> Survey:
         """Static region, and polygon at alpha = 0. near: not used, faces are surveyed as fast from anywhere."""
-        on_acceleration, on_alpha, bound = self[:3]
-        static, values = jax.lax.optimization_barrier((ratio(bound, on_alpha), ratio(bound, on_acceleration)))
+        on_acceleration, on_alpha, bound = self.on_acceleration, self.on_alpha, self.bound
+        force = ratio(self.beyond, on_acceleration)
+        static, force, values = jax.lax.optimization_barrier((ratio(bound, on_alpha), force, self.values()))
         behind = jnp.max(jnp.where(on_alpha < 0, static, -jnp.inf), axis=0)
         # The end ahead, by what makes it: a row that bounds the acceleration from above, or another.
         above, other = (on_alpha > 0) & (on_acceleration > 0), (on_alpha > 0) & (on_acceleration <= 0)
         s_above, s_other = (jnp.min(jnp.where(rows, static, jnp.inf), axis=0) for rows in (above, other))
         ahead = jnp.minimum(s_above, s_other)
         lowest = jnp.max(jnp.where(on_acceleration < 0, values, -jnp.inf), axis=0)
-        highest = jnp.min(jnp.where(on_acceleration > 0, values, jnp.inf), axis=0)
+        least = jnp.max(jnp.where(on_acceleration < 0, force, -jnp.inf), axis=0)
+        most = jnp.min(jnp.where(on_acceleration > 0, force, jnp.inf), axis=0)
         # Ends that meet, but for rounding, are one place. Whether they do all rows say, those without a coefficient too.
-        place, acceleration = _between(behind, ahead), _between(lowest, highest)
-        missed = lambda coefficient, value, slack: jnp.any(coefficient * value > bound + slack, axis=0)
-        standing = ~missed(on_alpha, place, self.line.slack_at(0.0))
-        feasible = ~missed(on_acceleration, acceleration, self.line.slack_at(acceleration))
+        place, force = _between(behind, ahead), _between(least, most)
+        missed = lambda coefficient, value, bound, slack: jnp.any(coefficient * value > bound + slack, axis=0)
+        standing = ~missed(on_alpha, place, bound, self.line.slack_at(-self.fall))
+        feasible = ~missed(on_acceleration, force, self.beyond, self.line.slack_at(force))
         return Survey(
             s_min=jnp.minimum(behind, place),
             s_max=jnp.maximum(ahead, place),
             standing=standing,
             feasible=feasible,
-            pulled_back=jnp.maximum(lowest, highest) < 0,
+            pulled_back=jnp.maximum(lowest, most + self.fall) < 0,
             known=jnp.ones(standing.shape, bool),
             hangs=(s_above <= ahead) & (ahead < jnp.inf),
             start=(lowest, s_other),  # without a lowest, no other rows are left but walls
@@ -94,7 +110,7 @@ class Polygon(NamedTuple):
         enough: Float[Array, "*n"] | None = None,
     ) -> Boundary:
         """The lower boundary, as `Producer` has it."""
-        return _boundary(self, *jax.lax.stop_gradient((limit.astype(self.bound.dtype), enough)), rising, most)
+        return _boundary(self, *jax.lax.stop_gradient((limit.astype(self.beyond.dtype), enough)), rising, most)
 
 
 def polygon(
@@ -117,15 +133,16 @@ def polygon(
     # would stop the robot in the end, however far away.
     on_acceleration = without_noise(rows[:, 0], line.slack_of_acceleration)
     steepest = line.weight / line.length
-    bound = snapped(rows[:, 2] + on_acceleration * line.fall, line.slack * line.weight)
+    beyond = snapped(rows[:, 2], line.slack * line.sideways)
     if cone.offsets is not None:
         offsets = jnp.asarray(cone.padded(1).offsets, com.dtype)
-        bound = bound + offsets.reshape(-1, *[1] * (bound.ndim - 1))
+        beyond = beyond + offsets.reshape(-1, *[1] * (beyond.ndim - 1))
     return _stored(
         Polygon(
             on_acceleration=on_acceleration,
             on_alpha=without_noise(rows[:, 1], line.slack * steepest),
-            bound=bound,
+            beyond=beyond,
+            fall=line.fall,
             line=line,
             top=(line.largest, steepest),
             size=line.length * line.remoteness,
@@ -148,7 +165,7 @@ def _boundary(rows: Polygon, limit: Float[Array, "*n"], enough: Array | None, ri
     lower = rows.on_acceleration < 0
     # Rows that do not bound the acceleration from below get an infinite slope: a walk that meets them is at its end.
     slopes = jnp.where(lower, -ratio(rows.on_alpha, rows.on_acceleration), jnp.inf)
-    values = jnp.where(lower, ratio(rows.bound, rows.on_acceleration), -jnp.inf)
+    values = jnp.where(lower, rows.values(), -jnp.inf)
     slopes, values = jax.lax.optimization_barrier((slopes, values))
     value, wall = rows.start if rows.start else (jnp.max(values, axis=0), _wall(rows))
     slope = jnp.max(jnp.where(values == value, slopes, -jnp.inf), axis=0)
@@ -169,7 +186,9 @@ def _crossings(rows: Polygon, intercept: Array, slope: Array) -> Float[Array, "m
     """
     rate = rows.on_acceleration * slope + rows.on_alpha
     crosses = rate > rows.line.slack * (rows.top[1] + rows.top[0] * jnp.abs(slope))
-    return jnp.where(crosses, (rows.bound - rows.on_acceleration * intercept) / jnp.where(crosses, rate, 1), jnp.inf)
+    return jnp.where(
+        crosses, (rows.beyond - rows.on_acceleration * (intercept - rows.fall)) / jnp.where(crosses, rate, 1), jnp.inf
+    )
 
 
 def _follow(rows: Polygon, slopes: Array, alpha: Array, line: Affine) -> Next:
@@ -187,7 +206,7 @@ def _boundary_jvp(rising, most, primals, tangents):
     found = _boundary(rows, limit, enough, rising, most)
     pieces = found.pieces
     lower = rows.on_acceleration < 0
-    row_slopes, row_values = -ratio(rows.on_alpha, rows.on_acceleration), ratio(rows.bound, rows.on_acceleration)
+    row_slopes, row_values = -ratio(rows.on_alpha, rows.on_acceleration), rows.values()
 
     def active_row(line):
         """Index of the row with this slope and intercept."""
@@ -200,7 +219,8 @@ def _boundary_jvp(rising, most, primals, tangents):
     real = pieces.right > pieces.left
     per_row = lambda amount: jnp.where(real, ratio(amount, at_active(rows.on_acceleration)), 0)
     lines = Affine(
-        intercept=per_row(at_active(change.bound) - pieces.intercept * at_active(change.on_acceleration)),
+        intercept=per_row(at_active(change.beyond) - (pieces.intercept - rows.fall) * at_active(change.on_acceleration))
+        + jnp.where(real, change.fall, 0),
         slope=per_row(-at_active(change.on_alpha) - pieces.slope * at_active(change.on_acceleration)),
     )
 
@@ -213,7 +233,7 @@ def _boundary_jvp(rising, most, primals, tangents):
     row = jnp.argmin(jnp.abs(at - end), axis=0)[None]
     at_wall = lambda values: jnp.take_along_axis(values, row, axis=0)[0]
     acceleration, rise = intercept + slope * end, pick(lines.intercept + lines.slope * end)
-    past = at_wall(change.bound) - at_wall(change.on_acceleration) * acceleration - at_wall(change.on_alpha) * end
-    past -= at_wall(rows.on_acceleration) * rise
+    past = at_wall(change.beyond) - at_wall(change.on_acceleration) * (acceleration - rows.fall)
+    past -= at_wall(change.on_alpha) * end + at_wall(rows.on_acceleration) * (rise - change.fall)
     wall = ratio(past, at_wall(rows.on_acceleration) * slope + at_wall(rows.on_alpha))
     return found, moved(found, lines, wall)

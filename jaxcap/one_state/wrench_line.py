@@ -81,9 +81,9 @@ class WrenchLine(NamedTuple):
         beyond = jnp.abs(beyond)
         return (beyond if self.lever is None else beyond * (1 + self.lever)) + self.sideways
 
-    def slack_at(self, acceleration: Float[Array, "*n"] | float) -> Float[Array, "*n"]:
-        """By how much a face may be missed at an acceleration [m/s^2]: relative to the wrench there."""
-        return self.slack * self.size_beyond(acceleration - self.fall)
+    def slack_at(self, beyond: Float[Array, "*n"]) -> Float[Array, "*n"]:
+        """By how much a face may be missed at the acceleration fall + beyond [m/s^2]: relative to the wrench there."""
+        return self.slack * self.size_beyond(beyond)
 
 
 def wrench_line(
