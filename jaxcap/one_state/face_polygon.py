@@ -30,8 +30,7 @@ class Polygon(NamedTuple):
     on_alpha: Float[Array, "m *n"]
     """[1/s^2]"""
     beyond: Float[Array, "m *n"]
-    """[m/s^2]; of the force beyond free fall: zero where nothing of gravity is across the line. Spin and a momentum box add to
-    it."""
+    """[m/s^2]; of the force beyond free fall: zero where nothing of gravity is across the line, but for spin and a box."""
     fall: Float[Array, "*n"]
     """`WrenchLine.fall` [m/s^2]."""
     line: WrenchLine
