@@ -35,6 +35,8 @@ class States(NamedTuple):
     """[m/s]"""
     cones: ConeRays | ActuatedRays | None = None
     """The contacts of each state, where they are its own."""
+    specific_angular_momenta: Num[Array, "n 3"] | None = None
+    """About the CoM, over the mass [m^2/s]; None for zero."""
 
 
 class Shared(NamedTuple):
@@ -64,7 +66,7 @@ def _scored_block_jvp(neighbours: bool, primals: tuple, tangents: tuple) -> tupl
 
     def in_one_round(shared: Shared, states: States) -> Capturability:
         of_lanes = lambda lanes: capturability_of_lanes(
-            shared.cone_of(lanes), lanes.coms, lanes.com_velocities, shared.gravity
+            shared.cone_of(lanes), lanes.coms, lanes.com_velocities, shared.gravity, lanes.specific_angular_momenta
         )
         return over_chunks(of_lanes, states)
 
@@ -137,7 +139,8 @@ def _lanes(shared: Shared, states: States) -> int:
 
 
 def _motion(shared: Shared, lanes: States, survey: Survey | None, quick: bool) -> Motion:
-    return motion_of_lanes(shared.cone_of(lanes), lanes.coms, lanes.com_velocities, shared.gravity, survey, quick)
+    momenta = lanes.specific_angular_momenta
+    return motion_of_lanes(shared.cone_of(lanes), lanes.coms, lanes.com_velocities, shared.gravity, survey, quick, momenta)
 
 
 def unsettled(skipped: Int8[Array, " n"], slope: Float[Array, " n"], lanes: int) -> tuple[Int[Array, " m"], Int[Array, ""]]:
@@ -164,7 +167,8 @@ def _surveys(shared: Shared, states: States) -> Survey:
     """All surveys of a block of neighbours, which share a lane: each begins where the one before has ended."""
 
     def one(lanes: States, near: Any = None) -> Survey:
-        return survey_of_lanes(shared.cone_of(lanes), lanes.coms, lanes.com_velocities, shared.gravity, near)
+        momenta = lanes.specific_angular_momenta
+        return survey_of_lanes(shared.cone_of(lanes), lanes.coms, lanes.com_velocities, shared.gravity, near, momenta)
 
     n, steps = len(states.coms), ceil_div(len(states.coms), LANES)
     to_steps = lambda x: jnp.moveaxis(x.reshape(LANES, steps, *x.shape[1:]), 0, -1)
