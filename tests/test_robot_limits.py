@@ -10,6 +10,9 @@ from samplers import join, rectangle, rotation
 
 import jaxcap
 from jaxcap import Actuation, Status
+from jaxcap.contacts.actuation import actuated
+from jaxcap.numerics.guarded import direction
+from jaxcap.one_state.actuated_polygon import actuated_polygon
 from reference import robot_limits as reference
 
 pytestmark = pytest.mark.usefixtures("x64")
@@ -116,6 +119,34 @@ def test_speeds_are_those_of_the_linear_programs(found, programs):
             )
             compared += found.max_speed[i] > 0
     assert compared > 20
+
+
+@jax.jit
+def _walked(cone, com, velocity, momentum):
+    """Whether the start is feasible, the acceleration there, and the speed that the lower boundary stops."""
+    along, speed = direction(velocity)
+    polygon = actuated_polygon(cone, com, along, jnp.array([0, 0, -9.81]), momentum / speed)
+    survey = polygon.survey()
+    lower = polygon.knowing(survey).boundary(jnp.where(survey.feasible, jnp.inf, 0))
+    stops = jnp.sqrt(jnp.maximum(-2 * lower.gain(lower.end), 0))
+    return survey.feasible, lower.at(jnp.zeros_like(speed)), stops
+
+
+def test_angular_momentum_is_braked_as_in_the_linear_programs(sample):
+    momentum = np.random.default_rng(8).uniform(-0.2, 0.2, (STATES, 3))
+    lanes = lambda tree: jax.tree.map(lambda x: jnp.moveaxis(jnp.asarray(x), 0, -1), tree)
+    cone = actuated(jaxcap.cone_rays(sample.contacts), sample.actuation, sample.box, STATES)
+    feasible, lowest, stops = _walked(*lanes((cone, sample.coms, sample.velocities, momentum)))
+    for i in range(STATES):
+        sets, posture = (jax.tree.map(lambda x, i=i: x[i], tree) for tree in (sample.contacts, sample.actuation))
+        limits = reference.Limits(posture.jacobians, posture.gravity_torque, posture.limit, posture.mask)
+        where = sets.points, sets.frames, sets.friction, sample.coms[i], sample.velocities[i]
+        program = reference.state_of(*where, limits, spin=momentum[i], box=sample.box[i])
+        first = reference.least_acceleration(program, 0.0)
+        assert (first is not None) == feasible[i]
+        if first is not None:
+            np.testing.assert_allclose(lowest[i], first.value, rtol=1e-8, atol=1e-9)
+            np.testing.assert_allclose(stops[i], reference.max_speed(program), rtol=1e-6, atol=1e-9)
 
 
 def test_margin_and_verdict_follow_from_speeds_and_effort(sample, found):
