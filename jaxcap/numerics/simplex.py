@@ -195,11 +195,14 @@ def factorised(program: Program, index: Int[Array, "6 *n"]) -> Basis:
     free = index == FREE
     index = jnp.concatenate([jnp.where(free.any(axis=0), FREE, index[0])[None], jnp.where(free, index[0], index)[1:]])
     matrix = columns(program, index)
-    for k in range(6):
-        direction = times(basis.inverse, matrix[:, k])
+
+    def one(k: Int[Array, ""], basis: Basis) -> Basis:
+        at = lambda field, axis: jax.lax.dynamic_index_in_dim(field, k, axis, keepdims=False)
+        direction, number = times(basis.inverse, at(matrix, 1)), at(index, 0)
         size, leaving = largest(jnp.where(basis.chosen <= UNIT, jnp.abs(direction), 0))
-        basis = pivot(basis, leaving, index[k], direction, (size > bound) & (index[k] > UNIT))
-    return basis
+        return pivot(basis, leaving, number, direction, (size > bound) & (number > UNIT))
+
+    return jax.lax.fori_loop(0, 6, one, basis)
 
 
 def improved(program: Program, basis: Basis) -> Basis:

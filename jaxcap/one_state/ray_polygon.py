@@ -15,7 +15,7 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxcap.contacts.cone import ConeRays
 from jaxcap.numerics import simplex
 from jaxcap.numerics.guarded import ratio, snapped, tolerances, without_noise
-from jaxcap.numerics.simplex import FREE, UNIT, Basis, Outcome, Program
+from jaxcap.numerics.simplex import FREE, UNIT, Basis, Outcome, Program, Solution
 from jaxcap.one_state.boundary import Boundary, End
 from jaxcap.one_state.polygon import Survey
 from jaxcap.one_state.walk import Affine, Next, moved, walk
@@ -76,6 +76,8 @@ class RayPolygon(NamedTuple):
     """Scale of alpha [m]: size of the stance plus the CoM's distance from it."""
     start: Basis | None = None
     """Of the smallest acceleration at alpha = 0, or of a place nearby."""
+    outcome: Int[Array, "*n"] | None = None
+    """How the search for that basis ended; None where it is that of a place nearby, from where a search may begin."""
 
     @property
     def ready(self) -> Basis:
@@ -85,12 +87,16 @@ class RayPolygon(NamedTuple):
 
     def knowing(self, survey: Survey) -> "RayPolygon":
         """The same, with a basis to start from."""
-        return self._replace(start=survey.start)
+        return self._replace(start=survey.start.basis, outcome=survey.start.outcome)
 
     def flipped(self) -> "RayPolygon":
         """With the acceleration's sign turned: its lower boundary is minus the upper boundary of this one."""
         return self._replace(
-            per_acceleration=-self.per_acceleration, forward=-self.forward, fall=-self.fall, start=_turned(self.ready)
+            per_acceleration=-self.per_acceleration,
+            forward=-self.forward,
+            fall=-self.fall,
+            start=_turned(self.ready),
+            outcome=None,
         )
 
     def seen_from(self, start: Float[Array, "*n"], heading: int | Float[Array, ""]) -> "RayPolygon":
@@ -105,22 +111,15 @@ class RayPolygon(NamedTuple):
             falling=self.falling.moved(self.per_alpha * start),
             fall=heading * self.fall,
             start=Basis(self.ready.chosen, inverse),
+            outcome=None,
         )
 
     def survey(self, near: "Bases | None" = None) -> Survey:
         """Static region, and polygon at alpha = 0. near: `Survey.near` of a similar state."""
         fixed = jax.tree.map(jax.lax.stop_gradient, self)
-        lowest, least, most = fixed.at_start(), fixed.standing(-1), fixed.standing(1)
-        everywhere = jnp.ones(self.fall.shape, bool)
-        unit = simplex.identity(self.fall.shape, self.fall.dtype)
-        begin = simplex.freed(lowest, unit) if near is None else simplex.renewed(lowest, near.start)
-        start = simplex.solve(lowest, begin, everywhere)
+        start, first, second = _solved(fixed, near)
         feasible = start.outcome != Outcome.INFEASIBLE
-        begin = simplex.freed(least, start.basis) if near is None else simplex.renewed(least, near.least)
-        first = simplex.solve(least, begin, everywhere)
         standing = first.outcome != Outcome.INFEASIBLE
-        begin = _turned(first.basis) if near is None else simplex.renewed(most, near.most)
-        second = simplex.solve(most, begin, standing & feasible)
         bounded = lambda sign, found: jnp.where(
             (found.outcome == Outcome.OPTIMAL) & jnp.any(found.basis.chosen == FREE, axis=0),
             _place(self, sign, found.basis),
@@ -145,7 +144,7 @@ class RayPolygon(NamedTuple):
             known=~undecided,
             hangs=hangs,
             near=Bases(start.basis, first.basis, second.basis, pivots),
-            start=simplex.improved(lowest, start.basis),
+            start=start._replace(basis=simplex.improved(fixed.at_start(), start.basis)),
         )
 
     def boundary(
@@ -206,6 +205,33 @@ def ray_polygon(
     )
 
 
+def _solved(polygon: RayPolygon, near: Bases | None) -> tuple[Solution, Solution, Solution]:
+    """The programs of a survey: smallest acceleration, smallest alpha, largest alpha.
+
+    One after the other in one loop, for each copy of the simplex takes a second or two to compile.
+    """
+    programs = [polygon.at_start(), polygon.standing(-1), polygon.standing(1)]
+    own = jax.tree.map(lambda *fields: jnp.stack(fields), *[program[1:] for program in programs])  # all but the rays
+    everywhere = jnp.ones(polygon.fall.shape, bool)
+    bases = None if near is None else jax.tree.map(lambda *fields: jnp.stack(fields), near.start, near.least, near.most)
+
+    def one(before: tuple[Basis, Array], given: tuple[Array, tuple, Any]) -> tuple[tuple[Basis, Array], Solution]:
+        (basis, active), (turns, fields, similar) = before, given
+        program = Program(polygon.rays, *fields)
+        if similar is not None:
+            begin = simplex.renewed(program, similar)
+        else:
+            choose = functools.partial(jnp.where, turns)
+            begin = jax.tree.map(choose, _turned(basis), simplex.freed(program, basis))
+        found = simplex.solve(program, begin, active | ~turns)
+        return (found.basis, active & (found.outcome != Outcome.INFEASIBLE)), found
+
+    begin = simplex.identity(polygon.fall.shape, polygon.fall.dtype), everywhere
+    found = jax.lax.scan(one, begin, (jnp.array([False, False, True]), own, bases))[1]
+    start, least, most = (jax.tree.map(lambda field, k=k: field[k], found) for k in range(3))
+    return start, least, most
+
+
 def _turned(basis: Basis) -> Basis:
     """The basis with the free variable's column turned round."""
     return basis._replace(inverse=jnp.where((basis.chosen == FREE)[:, None], -basis.inverse, basis.inverse))
@@ -235,13 +261,9 @@ def _search(
     polygon: RayPolygon, limit: Array, enough: Array | None, rising: bool, most: int | None, mark: Callable[[Basis], Any]
 ) -> tuple[Boundary, Any]:
     """The boundary, and the marks of its pieces' bases."""
-    program = polygon.at_start()
     walked = limit > 0
-    found = simplex.solve(program, polygon.ready, walked)
-    free = found.basis.chosen == FREE
-    floorless = walked & ((found.outcome == Outcome.UNBOUNDED) | ~jnp.any(free, axis=0))
+    found, floorless, wall = _first(polygon, walked)
     lost = walked & ((found.outcome == Outcome.UNDECIDED) | (found.outcome == Outcome.INFEASIBLE))
-    wall = jax.lax.cond(jnp.any(floorless), _wall, lambda polygon, _: jnp.full_like(limit, jnp.inf), polygon, floorless)
     follow = lambda alpha, line, basis: _follow(polygon, alpha, basis)
     first = _line(polygon, found.basis)
     limit = jnp.where(lost, 0, limit)
@@ -263,16 +285,41 @@ def _line(polygon: RayPolygon, basis: Basis) -> Affine:
     return Affine(snapped(beyond + polygon.fall, noise), without_noise(slope, slack * polygon.steepest))
 
 
-def _wall(polygon: RayPolygon, floorless: Bool[Array, "*n"]) -> Float[Array, "*n"]:
-    """The largest alpha of a polygon without a floor: force along the line, either way, is a ray like the others."""
+def _first(polygon: RayPolygon, walked: Bool[Array, "*n"]) -> tuple[Solution, Bool[Array, "*n"], Float[Array, "*n"]]:
+    """The first basis of a walk; lanes without a floor; and where the polygon ends there.
+
+    That end is the largest alpha at all: force along the line, either way, is a ray like the others. A search from a place
+    nearby and that for the end are one loop, for each copy of the simplex takes a second or two to compile.
+    """
+    fallen = lambda found: walked & ((found.outcome == Outcome.UNBOUNDED) | ~jnp.any(found.basis.chosen == FREE, axis=0))
     along = polygon.per_acceleration[:, None]
     shared = jnp.broadcast_to(polygon.rays, (*polygon.rays.shape[:2], *along.shape[2:]))
-    rays = jnp.concatenate([shared, along], axis=1)
-    program = Program(rays, polygon.per_alpha, polygon.at_rest.target, polygon.at_rest.scale)
-    start = simplex.identity(floorless.shape, polygon.fall.dtype)
-    found = simplex.solve(program, simplex.freed(program, start), floorless)
-    bounded = (found.outcome == Outcome.OPTIMAL) & jnp.any(found.basis.chosen == FREE, axis=0)
-    return jnp.where(bounded, -_place(polygon._replace(rays=rays), 1, found.basis), jnp.inf)
+    with_column = lambda column: jnp.concatenate([shared, column], axis=1)
+
+    def search(last: Array | bool, begin: Basis, active: Array) -> Solution:
+        choose = functools.partial(jnp.where, last)
+        program = jax.tree.map(choose, polygon.standing(1), polygon.at_start())
+        program = program._replace(rays=with_column(jnp.where(last, along, 0)))
+        return simplex.solve(program, jax.tree.map(choose, simplex.freed(program, begin), begin), active)
+
+    def wall(found: Solution, floorless: Array) -> Array:
+        bounded = floorless & (found.outcome == Outcome.OPTIMAL) & jnp.any(found.basis.chosen == FREE, axis=0)
+        return jnp.where(bounded, -_place(polygon._replace(rays=with_column(along)), 1, found.basis), jnp.inf)
+
+    unit = simplex.identity(walked.shape, polygon.fall.dtype)
+    if polygon.outcome is not None:
+        found = Solution(polygon.ready, polygon.outcome, jnp.zeros_like(polygon.outcome))
+        floorless = fallen(found)
+        end = lambda: wall(search(True, unit, floorless), floorless)
+        return found, floorless, jax.lax.cond(jnp.any(floorless), end, lambda: jnp.full_like(polygon.fall, jnp.inf))
+
+    def one(before: tuple[Basis, Array], last: Array) -> tuple[tuple[Basis, Array], Solution]:
+        found = search(last, *before)
+        return (unit, fallen(found)), found
+
+    both = jax.lax.scan(one, (polygon.ready, walked), jnp.array([False, True]))[1]
+    found, ended = (jax.tree.map(lambda field, k=k: field[k], both) for k in range(2))
+    return found, fallen(found), wall(ended, fallen(found))
 
 
 def _follow(polygon: RayPolygon, alpha: Array, basis: Basis) -> Next:
