@@ -132,21 +132,25 @@ def polygon(
     # would stop the robot in the end, however far away.
     on_acceleration = without_noise(rows[:, 0], line.slack_of_acceleration)
     steepest = line.weight / line.length
-    beyond = snapped(rows[:, 2], line.slack * line.sideways)
-    if cone.offsets is not None:
-        offsets = jnp.asarray(cone.padded(1).offsets, com.dtype)
-        beyond = beyond + offsets.reshape(-1, *[1] * (beyond.ndim - 1))
     return _stored(
         Polygon(
             on_acceleration=on_acceleration,
             on_alpha=without_noise(rows[:, 1], line.slack * steepest),
-            beyond=beyond,
+            beyond=_with_box(snapped(rows[:, 2], line.slack * line.sideways), cone),
             fall=line.fall,
             line=line,
             top=(line.largest, steepest),
             size=line.length * line.remoteness,
         )
     )
+
+
+def _with_box(beyond: Float[Array, "m *n"], cone: CentroidalCone) -> Float[Array, "m *n"]:
+    """What rows allow, and what the momentum box adds."""
+    if cone.offsets is None:
+        return beyond
+    offsets = jnp.asarray(cone.padded(1).offsets, beyond.dtype)
+    return beyond + offsets.reshape(-1, *[1] * (beyond.ndim - 1))
 
 
 def _between(low: Float[Array, "*n"], high: Float[Array, "*n"]) -> Float[Array, "*n"]:

@@ -39,7 +39,8 @@ class Status(IntEnum):
 
     OK = 0
     NO_DIRECTION = 1
-    """Zero velocity: capturable if and only if the CoM is in static equilibrium; margin and speeds are NaN."""
+    """Zero velocity, or one that is lost beside the angular momentum: capturable if and only if the CoM is in static
+    equilibrium; margin and speeds are NaN."""
     MAX_STEPS = 2
     """The polygon has more edges than are walked, or the simplex takes too many pivots; undecided."""
     MAX_SWINGS = 3
