@@ -1,6 +1,7 @@
 """Can this robot still stop, or is it going to fall? Zero-step capturability in multi-contact, in JAX."""
 
 from jaxcap.batch.score import score as score
+from jaxcap.contacts.actuation import Actuation as Actuation
 from jaxcap.contacts.cone import CentroidalCone as CentroidalCone
 from jaxcap.contacts.cone import ConeRays as ConeRays
 from jaxcap.contacts.cone import centroidal_cone as centroidal_cone

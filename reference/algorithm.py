@@ -2,6 +2,10 @@
 
 Comments give the printed line numbers. Where the printed text is corrected the comment says E and the number of the
 entry in ERRATA.md. Motion is on the line com + alpha v, v the unit velocity; alpha [m], alphadot [m/s], acc [m/s^2].
+
+Beyond the paper: angular momentum that comes to rest in proportion to the speed, `spin` of `linear_programs`. L / m is
+spin * alphadot wherever the CoM is; when it swings back along -v at the speed -alphadot, L is what it was in these terms:
+the spin is minus that of the first pass.
 """
 
 from __future__ import annotations
@@ -13,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from reference.contacts import GRAVITY, wrench_rays
-from reference.linear_programs import compute_closest_static_alpha, compute_max_acc, compute_min_acc
+from reference.linear_programs import NO_SPIN, compute_closest_static_alpha, compute_max_acc, compute_min_acc
 
 MAX_ITER = 200  # pieces in one pass; a pass that needs more raises
 SAME_ALPHA = 1e-7  # "alpha = alpha_s" of Algorithm 1, line 8 [m]; ten times the error of the QP's alpha
@@ -44,23 +48,37 @@ class Walk(NamedTuple):
 
 
 def is_state_capturable(
-    points, frames, friction, com, com_velocity, *, sides=4, gravity=GRAVITY, swings=0, wrenches=None
+    points,
+    frames,
+    friction,
+    com,
+    com_velocity,
+    *,
+    sides=4,
+    gravity=GRAVITY,
+    swings=0,
+    wrenches=None,
+    specific_angular_momentum=NO_SPIN,
+    momentum_box=0.0,
 ) -> Result:
     """Algorithm 1: can the CoM be brought to rest along its own velocity, contacts fixed?
 
     points: (k, 3) [m]. frames: (k, 3, 3), third column the normal. friction: (k,). com: (3,) [m]. com_velocity: (3,)
     [m/s]. sides: edges of the friction pyramids. swings: at most so many further passes in C3.3, which the paper does
     not handle (0, the default: capturable is None). wrenches: `contacts.wrench_rays` of these contacts, if at hand.
+    specific_angular_momentum: (3,) about the CoM, over the mass [m^2/s].
+    momentum_box: by how much each component of its rate may differ from what the spin says [m^2/s^2].
     Raises ValueError at zero velocity, where v is undefined.
     """
     com, com_velocity = np.asarray(com, float), np.asarray(com_velocity, float)
     speed = float(np.linalg.norm(com_velocity))
     if not speed > 0.0:
         raise ValueError(f"com_velocity = {com_velocity} has no direction")
-    direction = com_velocity / speed
+    direction, spin = com_velocity / speed, np.asarray(specific_angular_momentum, float) / speed
     if wrenches is None:
         wrenches = wrench_rays(points, frames, friction, sides)
-    walk = brake(com, speed, direction, wrenches, gravity)
+    wrenches = wrenches._replace(box=momentum_box)
+    walk = brake(com, speed, direction, wrenches, gravity, spin=spin)
     final = (walk.alpha, walk.alphadot, walk.time)
     if walk.stop != "C3":
         return Result(False, walk.stop, -walk.alphadot, *final)
@@ -70,17 +88,18 @@ def is_state_capturable(
     if abs(walk.alpha - alpha_s) <= SAME_ALPHA:  # line 8: C3.1
         return Result(True, "C3_1", max(-walk.acc, 0.0), *final)  # line 9
     if walk.alpha < alpha_s:  # line 10: C3.2
-        if is_static_region_reachable(com, speed, direction, wrenches, gravity):  # line 11
+        if is_static_region_reachable(com, speed, direction, wrenches, gravity, spin):  # line 11
             return Result(True, "C3_2_1", -walk.acc, *final)
         return Result(False, "C3_2_2", 0.0, *final)
     capturable, residual, passes = None, 0.0, 0  # line 12: C3.3, CaseNotHandled
     if swings > 0:
-        capturable, residual, passes = swing(com + walk.alpha * direction, -direction, wrenches, gravity, swings)
+        stop = com + walk.alpha * direction
+        capturable, residual, passes = swing(stop, -direction, wrenches, gravity, swings, -spin)
     margin = math.nan if capturable is None else -walk.acc if capturable else 0.0 - residual
     return Result(capturable, "C3_3", margin, *final, passes)
 
 
-def brake(com, alphadot, direction, wrenches, gravity=GRAVITY, from_rest=False) -> Walk:
+def brake(com, alphadot, direction, wrenches, gravity=GRAVITY, from_rest=False, spin=NO_SPIN) -> Walk:
     """The loop of Algorithm 1 up to C1, C2 or C3. `from_rest` (swings only): the first test for C3 is left out."""
     alpha, acc, time, last_iteration = 0.0, math.nan, 0.0, False  # lines 2, 4
     for i in range(MAX_ITER):  # line 5
@@ -88,7 +107,7 @@ def brake(com, alphadot, direction, wrenches, gravity=GRAVITY, from_rest=False) 
             return Walk("C3", alpha, alphadot, acc, time)
         if last_iteration:  # line 13
             return Walk("C1", alpha, alphadot, acc, time)  # line 14
-        feasible, beta, gamma, alpha_bar = compute_min_acc(com, alpha, direction, wrenches, gravity)  # line 15, E3
+        feasible, beta, gamma, alpha_bar = compute_min_acc(com, alpha, direction, wrenches, gravity, spin)  # line 15, E3
         if not feasible:  # line 16: C2
             return Walk("C2", alpha, alphadot, acc, time)  # line 17
         if beta == -math.inf:  # opposing contacts: any deceleration is feasible, here and everywhere on the line
@@ -103,7 +122,7 @@ def brake(com, alphadot, direction, wrenches, gravity=GRAVITY, from_rest=False) 
     raise ArithmeticError(f"no end after {MAX_ITER} pieces: alpha = {alpha}, alphadot = {alphadot}")
 
 
-def is_static_region_reachable(com, alphadot, direction, wrenches, gravity=GRAVITY) -> bool:
+def is_static_region_reachable(com, alphadot, direction, wrenches, gravity=GRAVITY, spin=NO_SPIN) -> bool:
     """Algorithm 2: does maximum acceleration carry the CoM from its initial state into the static region ahead?
 
     True is C3.2.1, False is C3.2.2. To be called in C3.2 only.
@@ -114,7 +133,7 @@ def is_static_region_reachable(com, alphadot, direction, wrenches, gravity=GRAVI
             return False
         if last_iteration:  # line 7
             return True
-        feasible, beta, gamma, alpha_bar = compute_max_acc(com, alpha, direction, wrenches, gravity)  # line 9, E3
+        feasible, beta, gamma, alpha_bar = compute_max_acc(com, alpha, direction, wrenches, gravity, spin)  # line 9, E3
         if not feasible:  # the static region is ahead or here, and nothing is ahead: it is here, to ONE_SIDED_STEP
             return True
         if beta + gamma * alpha >= 0.0:  # already static, to rounding, or unbounded (beta = inf)
@@ -126,20 +145,20 @@ def is_static_region_reachable(com, alphadot, direction, wrenches, gravity=GRAVI
     raise ArithmeticError(f"no end after {MAX_ITER} pieces: alpha = {alpha}, alphadot = {alphadot}")
 
 
-def swing(com, direction, wrenches, gravity=GRAVITY, swings=20):
+def swing(com, direction, wrenches, gravity=GRAVITY, swings=20, spin=NO_SPIN):
     """C3.3 continued, NOT in the paper: from rest at `com`, beyond the static region, back along `direction`.
 
     Each pass brakes as hard as it can; if it too stops beyond the static region the direction is inverted again.
     Returns (capturable, speed left [m/s], passes made); capturable is None if `swings` passes did not decide.
     """
     for count in range(1, swings + 1):
-        walk = brake(com, 0.0, direction, wrenches, gravity, from_rest=True)
+        walk = brake(com, 0.0, direction, wrenches, gravity, from_rest=True, spin=spin)
         if walk.stop != "C3":
             return False, walk.alphadot, count
         alpha_s = compute_closest_static_alpha(com, walk.alpha, direction, wrenches, gravity)
         if walk.alpha <= alpha_s + SAME_ALPHA:  # it cannot stop before the region: its push is towards it all the way
             return True, 0.0, count
-        com, direction = com + walk.alpha * direction, -direction
+        com, direction, spin = com + walk.alpha * direction, -direction, -np.asarray(spin)
     return None, 0.0, swings
 
 

@@ -10,10 +10,14 @@ GRAVITY = (0.0, 0.0, -9.81)  # [m/s^2]
 
 
 class Wrenches(NamedTuple):
-    """The centroidal cone of a contact set by its generators: w = rays @ weights, weights >= 0."""
+    """The centroidal cone of a contact set by its generators: w = rays @ weights, weights >= 0.
+
+    Beyond the paper: less a moment (y1, y2, y3) with |yi| <= box, by which the robot's angular momentum may change besides.
+    """
 
     rays: np.ndarray  # (6, k * sides): unit force [-] above its moment about `origin` [m]
     origin: np.ndarray  # (3,): the contacts' centroid [m], to which CoM positions must be shifted before use
+    box: float = 0.0  # per unit mass [m^2/s^2]
 
 
 def pyramid_edges(frames, friction, sides=4):

@@ -3,6 +3,9 @@
 Forces are weights on the pyramid edges (see `contacts`), so with x = (acc, weights) the constraints of (25) read
 ``matrix @ x = constant + alpha * slope``, ``weights >= 0``. All is per unit mass: the mass cancels, the cone being
 homogeneous. `com`, `direction` and the contacts are in one inertial frame; moments are about the contacts' centroid.
+
+Beyond the paper, whose angular momentum is constant: `spin`, the state's angular momentum about the CoM over mass and speed
+[m], comes to rest in proportion to the speed, L / m = spin * alphadot; so its rate is spin * acc, a moment beside c x v.
 """
 
 from __future__ import annotations
@@ -15,6 +18,7 @@ from scipy.optimize import linprog
 
 from reference.contacts import GRAVITY, Wrenches
 
+NO_SPIN = (0.0, 0.0, 0.0)  # [m]
 SOLVER = 1e-10  # HiGHS primal and dual feasibility, the least it takes [m/s^2, and -]
 RANK = 1e-9  # singular values below this share of the largest count as zero [-]
 FLAT_CONE = 1e-9  # a wrench this close to the span of a flat cone counts as inside it, share of gravity [-]
@@ -49,19 +53,33 @@ class Segment(NamedTuple):
 INFEASIBLE = Segment(False, np.nan, np.nan, np.nan)
 
 
-def line_terms(com, direction, wrenches: Wrenches, gravity=GRAVITY):
-    """Wrench (6,) per unit mass along the line: acc * per_acc + constant + alpha * per_alpha, from (10) in (3)."""
+def line_terms(com, direction, wrenches: Wrenches, gravity=GRAVITY, spin=NO_SPIN):
+    """Wrench (6,) per unit mass along the line: acc * per_acc + constant + alpha * per_alpha, from (10) in (3).
+
+    The sum of moments about the origin is the rate of c x m cdot + L, less that of gravity: the last term of per_acc is L's.
+    """
     com, gravity = np.asarray(com, float) - wrenches.origin, np.asarray(gravity, float)
-    per_acc = np.concatenate([direction, np.cross(com, direction)])  # m v for the m I3 printed in (25)
+    per_acc = np.concatenate([direction, np.cross(com, direction) + spin])  # m v for the m I3 printed in (25)
     constant = np.concatenate([-gravity, np.cross(gravity, com)])
     per_alpha = np.concatenate([np.zeros(3), np.cross(gravity, direction)])
     return per_acc, constant, per_alpha
 
 
-def line_program(com, direction, wrenches: Wrenches, gravity=GRAVITY) -> LineProgram:
+def line_program(com, direction, wrenches: Wrenches, gravity=GRAVITY, spin=NO_SPIN) -> LineProgram:
     """Constraints of (25) on the line com + alpha direction; `direction` a unit vector (3,)."""
-    per_acc, constant, per_alpha = line_terms(com, direction, wrenches, gravity)
-    return _without_redundant_rows(np.column_stack([-per_acc, wrenches.rays]), constant, per_alpha)
+    per_acc, constant, per_alpha = line_terms(com, direction, wrenches, gravity, spin)
+    return _without_redundant_rows(*_with_box(np.column_stack([-per_acc, wrenches.rays]), constant, per_alpha, wrenches.box))
+
+
+def _with_box(matrix, constant, slope, box):
+    """The rows with a moment besides, each component in [-box, box]: y = p - box with p + q = 2 box, p and q >= 0."""
+    if box == 0.0:
+        return matrix, constant, slope
+    moments = np.eye(6)[:, 3:]
+    above = np.column_stack([matrix, -moments, np.zeros((6, 3))])
+    sums = np.column_stack([np.zeros((3, matrix.shape[1])), np.eye(3), np.eye(3)])
+    constant = np.concatenate([constant - box * moments.sum(axis=1), np.full(3, 2.0 * box)])
+    return np.vstack([above, sums]), constant, np.concatenate([slope, np.zeros(3)])
 
 
 def _without_redundant_rows(matrix, constant, slope) -> LineProgram:
@@ -110,18 +128,18 @@ def solve_acceleration(program: LineProgram, alpha, sign=1.0):
     return None if result.status == 2 else result
 
 
-def compute_min_acc(com, alpha, direction, wrenches: Wrenches, gravity=GRAVITY) -> Segment:
+def compute_min_acc(com, alpha, direction, wrenches: Wrenches, gravity=GRAVITY, spin=NO_SPIN) -> Segment:
     """Least acceleration just right of `alpha` [m] as an affine function of alpha, and how far it holds.
 
     Unbounded below (the contacts can push against the motion as hard as they like): beta = -inf, the robot can stop
     at once; this does not depend on alpha, so alpha_bar = inf. Infeasible just right of alpha: `feasible` is False.
     """
-    return _segment(line_program(com, direction, wrenches, gravity), alpha, 1.0)
+    return _segment(line_program(com, direction, wrenches, gravity, spin), alpha, 1.0)
 
 
-def compute_max_acc(com, alpha, direction, wrenches: Wrenches, gravity=GRAVITY) -> Segment:
+def compute_max_acc(com, alpha, direction, wrenches: Wrenches, gravity=GRAVITY, spin=NO_SPIN) -> Segment:
     """Greatest acceleration just right of `alpha` [m]; as `compute_min_acc`, unbounded above: beta = +inf."""
-    return _segment(line_program(com, direction, wrenches, gravity), alpha, -1.0)
+    return _segment(line_program(com, direction, wrenches, gravity, spin), alpha, -1.0)
 
 
 def _segment(program: LineProgram, alpha, sign) -> Segment:
@@ -195,7 +213,8 @@ def compute_closest_static_alpha(com, alpha, direction, wrenches: Wrenches, grav
     """
     _, constant, slope = line_terms(com, direction, wrenches, gravity)
     scale = np.linalg.norm(gravity)
-    program = _without_redundant_rows(np.column_stack([-slope / scale, wrenches.rays]), constant / scale, 0.0 * slope)
+    rows = np.column_stack([-slope / scale, wrenches.rays]), constant / scale, 0.0 * slope
+    program = _without_redundant_rows(*_with_box(*rows, wrenches.box / scale))
     if program.highest < program.lowest:
         return None
     size = program.matrix.shape[1]

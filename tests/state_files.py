@@ -103,7 +103,9 @@ def read_metadata(path) -> dict:
     return json.loads(pq.read_schema(path).metadata[b"jaxcap"])
 
 
-def fake_score(cone, coms, com_velocities, gravity=(0, 0, -9.81), neighbours=False) -> Capturability:
+def fake_score(
+    cone, coms, com_velocities, gravity=(0, 0, -9.81), neighbours=False, specific_angular_momentum=None
+) -> Capturability:
     """A predictor by a simple rule: capturable below 1 m/s, and in the other ways like the real one."""
     dtype = jax.dtypes.canonicalize_dtype(np.asarray(coms).dtype)  # as JAX takes them: the x64 switch decides
     coms, com_velocities = np.asarray(coms, dtype), np.asarray(com_velocities, dtype)
@@ -114,7 +116,8 @@ def fake_score(cone, coms, com_velocities, gravity=(0, 0, -9.81), neighbours=Fal
     capturable = ~bad & (still | (margin >= 0))
     case = np.where(bad, Case.UNDECIDED, np.where(capturable, Case.C3_1, Case.C1)).astype(np.int8)
     status = np.where(bad, Status.NONFINITE, np.where(still, Status.NO_DIRECTION, Status.OK)).astype(np.int8)
-    return Capturability(capturable, case, status, margin, 0 * margin, margin + speed, margin, speed, speed, 0 * speed)
+    none = np.full_like(margin, np.nan)
+    return Capturability(capturable, case, status, margin, 0 * margin, margin + speed, margin, speed, speed, 0 * speed, none)
 
 
 def command(states, contacts, output, *options) -> list[str]:

@@ -37,7 +37,7 @@ def scored(monkeypatch):
     """Replaces the predictor; the list counts the rows of each call."""
     calls = []
 
-    def score(cone, coms, com_velocities, gravity, neighbours):
+    def score(cone, coms, com_velocities, gravity, neighbours, specific_angular_momentum):
         calls.append(len(coms))
         return fake_score(cone, coms, com_velocities, gravity)
 

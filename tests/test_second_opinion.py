@@ -7,6 +7,7 @@ import pytest
 from states import FORMS, random_states
 
 import jaxcap
+from jaxcap.batch.rounds import States
 from jaxcap.batch.second_opinion import decided
 from jaxcap.contacts.conventions import GRAVITY
 from jaxcap.one_state.result import Status
@@ -25,7 +26,7 @@ def test_what_is_missing_is_answered_by_faces(dtype):
         for field, nothing in zip(lost, (False, -1, Status.MAX_STEPS), strict=False):
             field[list(ROWS)] = nothing
         lost.status[list(ROWS)], lost.margin[list(ROWS)] = Status.MAX_STEPS, np.nan
-        again = decided(cones, coms, velocities, GRAVITY, lost)
+        again = decided(cones, States(coms, velocities), GRAVITY, lost)
     for name, one, other in zip(found._fields, found, again, strict=True):
         assert one.dtype == other.dtype, name
         others = np.setdiff1d(np.arange(len(coms)), ROWS)
@@ -38,7 +39,7 @@ def test_nothing_missing_nothing_done():
     _, cones, coms, velocities = random_states(3, 2, 11, "rays")
     coms, velocities = jnp.asarray(coms), jnp.asarray(velocities)
     found = jaxcap.score(cones, coms, velocities)
-    assert decided(cones, coms, velocities, GRAVITY, found) is found
+    assert decided(cones, States(coms, velocities), GRAVITY, found) is found
 
 
 def test_one_contact_set_for_all():
@@ -46,6 +47,6 @@ def test_one_contact_set_for_all():
     coms, velocities = jnp.array([[0, 0, 0.8], [0.01, 0, 0.8]]), jnp.array([[0.1, 0, 0], [2.0, 0, 0]])
     found = jaxcap.score(feet, coms, velocities)
     lost = found._replace(status=np.array([Status.MAX_STEPS] * 2, np.int8), capturable=np.array([False, True]))
-    again = decided(feet, coms, velocities, GRAVITY, lost)
+    again = decided(feet, States(coms, velocities), GRAVITY, lost)
     np.testing.assert_array_equal(again.capturable, found.capturable)
     np.testing.assert_array_equal(again.status, Status.OK)

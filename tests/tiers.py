@@ -9,6 +9,10 @@ MARKS = ("slow", "sim", "evaluation")
 """What is left out unless it is asked for. All are registered in pyproject.toml."""
 
 QUICK: dict[str, tuple[str, ...]] = {
+    "test_angular_momentum.py": (
+        "test_a_row_that_is_not_finite_leaves_the_others_alone[float64",
+        "test_wrong_shapes_are_named",
+    ),
     "test_batch.py": (
         "test_what_is_left_is_sorted_by_kind_and_slope",
         "test_fields_have_their_types",
@@ -112,6 +116,19 @@ QUICK: dict[str, tuple[str, ...]] = {
         "test_a_missing_extra_says_what_to_install",
         "test_settings_are_json",
     ),
+    "test_momentum_box.py": (
+        "test_no_box_is_today_to_the_bit",
+        "test_the_polyhedron_is_the_sum_of_cone_and_box",
+        "test_the_normals_of_the_cone_are_among_those_with_a_box",
+        "test_boxes_that_are_none",
+    ),
+    "test_momentum_files.py": (
+        "test_three_columns_in_a_csv",
+        "test_what_is_refused",
+        "test_a_mass_that_is_none",
+        "test_help_names_them",
+        "test_a_map_of_limits_needs_a_speed",
+    ),
     "test_plain_qp.py": (),
     "test_plotting.py": (
         "test_a_window_clips_half_planes",
@@ -140,6 +157,7 @@ QUICK: dict[str, tuple[str, ...]] = {
         "test_discretised_stop_obeys_the_polygon_between_its_knots",
         "test_verdict_by_discretisation",
     ),
+    "test_robot_limits.py": ("test_wrong_shapes", "test_actuation_of_other"),
     "test_second_opinion.py": (),
     "test_special_cases.py": (
         "test_inverted_pendulum_in_closed_form[faces-float64",

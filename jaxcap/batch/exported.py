@@ -37,6 +37,7 @@ def export(
     gravity: ArrayLike = GRAVITY,
     platforms: Sequence[str] = PLATFORMS,
     positions: DTypeLike | None = None,
+    momentum: bool = False,
 ) -> bytes:
     """`score` for one contact set, as a program to be loaded by `jax.export.deserialize`.
 
@@ -55,6 +56,7 @@ def export(
         positions: dtype of coms, by default `dtype`. With float64 beside a dtype of float32, the contacts' centroid is
             subtracted before anything is rounded: for robots far from the origin. Such a program, too, is called under
             `jax.enable_x64(True)`.
+        momentum: the program takes a third argument, specific_angular_momentum (n, 3) [m^2/s]; see `score`.
 
     Returns:
         The program, to be loaded by `jax.export.deserialize`.
@@ -66,7 +68,7 @@ def export(
     if jax.tree.leaves(cone)[0].ndim != 2:
         raise ValueError(f"cone is that of {len(jax.tree.leaves(cone)[0])} contact sets (expected one)")
     cone = jax.tree.map(np.asarray, padded_cone(cone))
-    return _serialized(lambda: cone, (), n, _Dtypes.of(dtype, positions), gravity, platforms)
+    return _serialized(lambda: cone, (), n, _Dtypes.of(dtype, positions), gravity, platforms, momentum)
 
 
 def export_contacts(
@@ -77,6 +79,7 @@ def export_contacts(
     gravity: ArrayLike = GRAVITY,
     platforms: Sequence[str] = PLATFORMS,
     positions: DTypeLike | None = None,
+    momentum: bool = False,
 ) -> bytes:
     """The same, with the contacts as an argument: one program for all contact sets of up to so many contacts.
 
@@ -88,7 +91,7 @@ def export_contacts(
     Args:
         contacts: how many, at least 1.
         sides: edges of each friction pyramid, >= 3.
-        n, dtype, gravity, platforms, positions: those of `export`.
+        n, dtype, gravity, platforms, positions, momentum: those of `export`.
 
     Returns:
         The program, to be loaded by `jax.export.deserialize`.
@@ -103,7 +106,7 @@ def export_contacts(
     dtypes = _Dtypes.of(dtype, positions)
     points, frames = ((contacts, 3), dtypes.positions), ((contacts, 3, 3), dtypes.answers)
     shapes = (points, frames, ((contacts,), dtypes.answers), ((contacts,), bool))
-    return _serialized(cone, shapes, n, dtypes, gravity, platforms)
+    return _serialized(cone, shapes, n, dtypes, gravity, platforms, momentum)
 
 
 class _Dtypes(NamedTuple):
@@ -129,6 +132,7 @@ def _serialized(
     dtypes: _Dtypes,
     gravity: ArrayLike,
     platforms: Sequence[str],
+    momentum: bool,
 ) -> bytes:
     """A program that takes what `cone` takes, of these shapes and dtypes, and the states."""
     if not isinstance(n, str) and n < 1:
@@ -140,17 +144,19 @@ def _serialized(
     block = ANY_BLOCK if isinstance(n, str) else min(n, BLOCK)
 
     def capturability(*arguments):
-        *contacts, coms, com_velocities = arguments
+        momenta = arguments[-1] if momentum else None
+        *contacts, coms, com_velocities = arguments[:-1] if momentum else arguments
         there = cone(*contacts)
         arms = (coms - jnp.asarray(there.origin, dtypes.positions)).astype(dtypes.answers)
         here = jax.tree.map(lambda x: x if x.dtype == bool else jnp.asarray(x, dtypes.answers), there)
         shared = Shared(pull, here._replace(origin=jnp.zeros(3, dtypes.answers)))
         answer = lambda states: scored_block(shared, states, False)._asdict()
-        return _over_blocks(answer, States(arms, com_velocities), block)
+        return _over_blocks(answer, States(arms, com_velocities, None, momenta), block)
 
     with jax.enable_x64(max(dtypes.answers.itemsize, dtypes.positions.itemsize) == 8):
         (count,) = jax.export.symbolic_shape(n) if isinstance(n, str) else (n,)
-        of_states = ((count, 3), dtypes.positions), ((count, 3), dtypes.answers)
+        vectors = (count, 3), dtypes.answers
+        of_states = ((count, 3), dtypes.positions), vectors, *([vectors] if momentum else [])
         shapes = [jax.ShapeDtypeStruct(*each) for each in (*of_contacts, *of_states)]
         return bytes(jax.export.export(jax.jit(capturability), platforms=tuple(platforms))(*shapes).serialize())
 

@@ -9,16 +9,21 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, Int8, Num
 
 from jaxcap.batch.blocks import LANES, over_chunks, padded
+from jaxcap.contacts.actuation import ActuatedRays
 from jaxcap.contacts.cone import CentroidalCone, ConeRays
 from jaxcap.numerics.whole import ceil_div
 from jaxcap.one_state.capturability import capturability_of_lanes
 from jaxcap.one_state.decision import capturability_at
-from jaxcap.one_state.line import Motion, motion_of_lanes, survey_of_lanes
+from jaxcap.one_state.line import Cone, Motion, motion_of_lanes, survey_of_lanes
 from jaxcap.one_state.polygon import Survey
 from jaxcap.one_state.result import Capturability
 
 FEW_ROWS = 160
 """Up to so many faces, a chunk has twice as many lanes: what each operation costs besides its numbers is shared by more."""
+
+
+LIMITED_BYTES = 256
+"""Of one number of all states of a chunk, where the robot's limits come in: their programs are several times as large."""
 
 
 class States(NamedTuple):
@@ -28,8 +33,10 @@ class States(NamedTuple):
     """[m]"""
     com_velocities: Num[Array, "n 3"]
     """[m/s]"""
-    cones: ConeRays | None = None
+    cones: ConeRays | ActuatedRays | None = None
     """The contacts of each state, where they are its own."""
+    specific_angular_momenta: Num[Array, "n 3"] | None = None
+    """About the CoM, over the mass [m^2/s]; None for zero."""
 
 
 class Shared(NamedTuple):
@@ -37,10 +44,10 @@ class Shared(NamedTuple):
 
     gravity: Num[Array, "3"]
     """[m/s^2]"""
-    cone: CentroidalCone | ConeRays | None = None
+    cone: Cone | None = None
     """The contacts of all states, where these have none of their own."""
 
-    def cone_of(self, states: States) -> CentroidalCone | ConeRays:
+    def cone_of(self, states: States) -> Cone:
         """The contacts of these states."""
         cone = self.cone if states.cones is None else states.cones
         assert cone is not None, "states without contacts"
@@ -59,7 +66,7 @@ def _scored_block_jvp(neighbours: bool, primals: tuple, tangents: tuple) -> tupl
 
     def in_one_round(shared: Shared, states: States) -> Capturability:
         of_lanes = lambda lanes: capturability_of_lanes(
-            shared.cone_of(lanes), lanes.coms, lanes.com_velocities, shared.gravity
+            shared.cone_of(lanes), lanes.coms, lanes.com_velocities, shared.gravity, lanes.specific_angular_momenta
         )
         return over_chunks(of_lanes, states)
 
@@ -85,7 +92,7 @@ def in_two_rounds(
     A chunk takes as long as its slowest lane. So all states are looked at quickly, which settles most of them; the others go
     into the second round, side by side with those that have the same left to find out.
     """
-    lanes = _lanes(shared, len(states.coms))
+    lanes = _lanes(shared, states)
     surveys = _surveys(shared, states) if neighbours else None
 
     def first(rows: tuple[States, Survey | None]) -> _Glance:
@@ -122,14 +129,18 @@ def _second_round(
     return jax.lax.fori_loop(0, ceil_div(count, lanes), one_chunk, answers)
 
 
-def _lanes(shared: Shared, n: int) -> int:
-    """How many states of a block of n share a chunk."""
+def _lanes(shared: Shared, states: States) -> int:
+    """How many states of a block share a chunk."""
+    n = len(states.coms)
+    if isinstance(shared.cone_of(states), ActuatedRays):
+        return LIMITED_BYTES // states.coms.dtype.itemsize
     few = isinstance(shared.cone, CentroidalCone) and len(shared.cone.faces) <= FEW_ROWS
     return 2 * LANES if few and n >= 2 * LANES else LANES
 
 
 def _motion(shared: Shared, lanes: States, survey: Survey | None, quick: bool) -> Motion:
-    return motion_of_lanes(shared.cone_of(lanes), lanes.coms, lanes.com_velocities, shared.gravity, survey, quick)
+    momenta = lanes.specific_angular_momenta
+    return motion_of_lanes(shared.cone_of(lanes), lanes.coms, lanes.com_velocities, shared.gravity, survey, quick, momenta)
 
 
 def unsettled(skipped: Int8[Array, " n"], slope: Float[Array, " n"], lanes: int) -> tuple[Int[Array, " m"], Int[Array, ""]]:
@@ -156,7 +167,8 @@ def _surveys(shared: Shared, states: States) -> Survey:
     """All surveys of a block of neighbours, which share a lane: each begins where the one before has ended."""
 
     def one(lanes: States, near: Any = None) -> Survey:
-        return survey_of_lanes(shared.cone_of(lanes), lanes.coms, lanes.com_velocities, shared.gravity, near)
+        momenta = lanes.specific_angular_momenta
+        return survey_of_lanes(shared.cone_of(lanes), lanes.coms, lanes.com_velocities, shared.gravity, near, momenta)
 
     n, steps = len(states.coms), ceil_div(len(states.coms), LANES)
     to_steps = lambda x: jnp.moveaxis(x.reshape(LANES, steps, *x.shape[1:]), 0, -1)

@@ -11,9 +11,11 @@ from jaxcap.batch.blocks import BLOCK, RAYS_BLOCK, block_of, over_blocks, padded
 from jaxcap.batch.devices import Spread, spread_over
 from jaxcap.batch.rounds import Shared, States, scored_block
 from jaxcap.batch.second_opinion import decided
+from jaxcap.contacts.actuation import ActuatedRays, Actuation, actuated
 from jaxcap.contacts.cone import CentroidalCone, ConeRays
 from jaxcap.contacts.conventions import GRAVITY, ArrayLike, checked_gravity
-from jaxcap.contacts.scoring_input import check_cone, relative, rounded
+from jaxcap.contacts.scoring_input import check_cone, relative, rounded, unless_zero
+from jaxcap.one_state.line import Cone
 from jaxcap.one_state.result import Capturability
 
 
@@ -23,6 +25,10 @@ def score(
     com_velocities: ArrayLike,
     gravity: ArrayLike = GRAVITY,
     neighbours: bool = False,
+    *,
+    specific_angular_momentum: ArrayLike | None = None,
+    actuation: Actuation | None = None,
+    momentum_box: ArrayLike = 0.0,
 ) -> Capturability:
     """`capturability` of many states.
 
@@ -38,6 +44,11 @@ def score(
         gravity: (3,) [m/s^2].
         neighbours: rows that follow each other are similar states, as along a trajectory or on a grid, and rays start each
             from the one before (a warm start); the answers are the same but for rounding.
+        specific_angular_momentum: (n, 3) the robot's angular momentum about its CoM, over its mass, in the frame of the
+            contacts [m^2/s]; None for zero, the paper's model. See `capturability`.
+        actuation: what the robot's joints can bear, in one posture or in one for each state; with rays only.
+        momentum_box: how much the rate of angular momentum per unit mass may differ from what braking brings about, in each
+            component, >= 0 [m^2/s^2]; one number, or (n,). Other than zero with rays only.
 
     Returns:
         Every field has shape (n,). The inputs' dtype decides the precision, as far as JAX's x64 switch allows. A state with
@@ -45,22 +56,33 @@ def score(
         contacts next to flat) is answered by faces on the host, for 1,000 states of a call at most, outside transformations.
 
     Raises:
-        TypeError: for wrong shapes, or contacts in place of a cone.
+        TypeError: for wrong shapes, contacts in place of a cone, or an actuation of other contacts.
+        ValueError: for a momentum box that is negative or not finite.
 
     Source: Section III, as `capturability`.
     """
     check_cone(cone)
     checked_gravity(gravity, finite=False)
-    _check_shapes(cone, coms, com_velocities)
+    _check_shapes(cone, coms, com_velocities, specific_angular_momentum)
     cone, coms = relative(cone, coms)
     coms, com_velocities = jnp.asarray(rounded(coms)), jnp.asarray(rounded(com_velocities))
-    own = cone if isinstance(cone, ConeRays) and cone.batched else None
-    states = States(coms, com_velocities, own)
-    shared = Shared(jnp.asarray(gravity, jnp.result_type(coms, jnp.float32)), None if own else padded_cone(cone))
+    momenta = unless_zero(rounded(specific_angular_momentum))
+    momenta = None if momenta is None else jnp.asarray(momenta)
+    limited = _limited(cone, actuation, momentum_box, len(coms))
+    own = limited if isinstance(limited, ConeRays | ActuatedRays) and limited.batched else None
+    states = States(coms, com_velocities, own, momenta)
+    common = None if own else limited if isinstance(limited, ActuatedRays) else padded_cone(limited)
+    shared = Shared(jnp.asarray(gravity, jnp.result_type(coms, jnp.float32)), common)
     if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves((states, shared.cone))):
         return scored_block(shared, states, neighbours)
     found = _over_devices(shared, states, neighbours)
-    return decided(cone, coms, com_velocities, gravity, found) if isinstance(cone, ConeRays) else found
+    return decided(limited, states, gravity, found) if isinstance(limited, ConeRays) else found
+
+
+def _limited(cone: CentroidalCone | ConeRays, actuation: Any, momentum_box: Any, n: int) -> Cone:
+    """The cone, with the robot's limits if there are any."""
+    none = actuation is None and not isinstance(momentum_box, jax.core.Tracer) and not np.any(np.asarray(momentum_box) != 0)
+    return cone if none else actuated(cone, actuation, momentum_box, n)
 
 
 def _over_devices(shared: Shared, states: States, neighbours: bool) -> Capturability:
@@ -74,14 +96,17 @@ def _over_devices(shared: Shared, states: States, neighbours: bool) -> Capturabi
     return over_blocks(lambda start: spread(everywhere, block_of(states, n, start, block, shares)), n, block)
 
 
-def _check_shapes(cone: CentroidalCone | ConeRays, coms: Any, com_velocities: Any) -> None:
+def _check_shapes(cone: CentroidalCone | ConeRays, coms: Any, com_velocities: Any, momenta: Any) -> None:
     """Raises TypeError."""
-    for name, value in (("coms", coms), ("com_velocities", com_velocities)):
+    given = {"coms": coms, "com_velocities": com_velocities, "specific_angular_momentum": momenta}
+    vectors = {name: value for name, value in given.items() if name != "specific_angular_momentum" or value is not None}
+    for name, value in vectors.items():
         if np.ndim(value) != 2 or np.shape(value)[1] != 3:
             raise TypeError(f"{name} has shape {np.shape(value)} (expected (n, 3))")
     n = len(coms)
-    if n != len(com_velocities):
-        raise TypeError(f"coms has {n} rows and com_velocities {len(com_velocities)} (expected as many)")
+    for name, value in vectors.items():
+        if len(value) != n:
+            raise TypeError(f"coms has {n} rows and {name} {len(value)} (expected as many)")
     if isinstance(cone, ConeRays) and cone.batched and len(cone.rays) != n:
         raise TypeError(f"cone has rays of {len(cone.rays)} contact sets (expected one, or one for each of {n} states)")
 

@@ -7,9 +7,10 @@ from typing import NamedTuple
 
 import jax
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from jaxcap.batch.blocks import ROWS
+from jaxcap.batch.rounds import States
 from jaxcap.contacts.cone import CentroidalCone, ConeRays, projected
 from jaxcap.contacts.conventions import ArrayLike
 from jaxcap.contacts.projection import ProjectionError
@@ -26,15 +27,15 @@ class _State(NamedTuple):
     cone: CentroidalCone
     com: Float[np.ndarray, "3"]
     com_velocity: Float[np.ndarray, "3"]
+    specific_angular_momentum: Float[np.ndarray, "3"] | None
 
 
-def decided(cone: ConeRays, coms: Array, com_velocities: Array, gravity: ArrayLike, found: Capturability) -> Capturability:
+def decided(cone: ConeRays, states: States, gravity: ArrayLike, found: Capturability) -> Capturability:
     """The answers, those that are missing from faces; what faces do not decide either stays undecided.
 
     Args:
         cone: of all states, or of each.
-        coms: (n, 3) [m], relative to the cone's frame.
-        com_velocities: (n, 3) [m/s].
+        states: n of them, in the cone's frame.
         gravity: (3,) [m/s^2].
         found: by rays, (n,).
     """
@@ -46,25 +47,27 @@ def decided(cone: ConeRays, coms: Array, com_velocities: Array, gravity: ArrayLi
     with jax.enable_x64(True), on_the_host, np.errstate(over="ignore"):
         gravity = np.asarray(gravity, float)
         for row in rows[:MOST]:
-            state = _state(cone, coms, com_velocities, int(row))
+            state = _state(cone, states, int(row))
             if state is None:
                 continue
-            for field, value in zip(fields, _compiled(*state, gravity), strict=True):
+            for field, value in zip(fields, _compiled(*state[:3], gravity, state.specific_angular_momentum), strict=True):
                 field[row] = value
     return Capturability(*map(jax.numpy.asarray, fields))
 
 
-def _state(cone: ConeRays, coms: Array, com_velocities: Array, row: int) -> _State | None:
+def _state(cone: ConeRays, states: States, row: int) -> _State | None:
     """None where the rays have no faces."""
-    own = (np.asarray(field[row] if cone.batched else field, float) for field in (cone.rays, cone.origin, cone.length))
+    own = lambda field: np.asarray(field[row] if cone.batched else field, float)
     try:
-        faces = projected(*own)
+        faces = projected(own(cone.rays), own(cone.origin), own(cone.length))
     except ProjectionError:
         return None
     size = ROWS
     while size < len(faces.faces):
         size *= 4  # few sizes: each is compiled
-    return _State(faces.padded(size), np.asarray(coms[row], float), np.asarray(com_velocities[row], float))
+    of_row = lambda vectors: np.asarray(vectors[row], float)
+    momentum = None if states.specific_angular_momenta is None else of_row(states.specific_angular_momenta)
+    return _State(faces.padded(size), of_row(states.coms), of_row(states.com_velocities), momentum)
 
 
 _compiled = jax.jit(capturability)

@@ -35,6 +35,9 @@ AXES
     speed                   [m/s]
   or, in place of the last three,
     velocity_x, velocity_y, velocity_z   CoM velocity [m/s]
+  and, with a speed, 0 if not given,
+    specific_angular_momentum_x, _y, _z  angular momentum about the CoM, over
+                            the mass [m^2/s]
   and axes along which the contacts change,
     friction                the coefficient of all contacts
     slope                   tilt of all contacts as one body, about a level axis

@@ -20,7 +20,7 @@ from jaxcap.contacts.contact_set import ContactSet
 from jaxcap.contacts.conventions import GRAVITY
 from jaxcap.errors import InputError
 from jaxcap.files.bad_rows import BadRows
-from jaxcap.files.columns import StateBatch, describe, refuse_clashes
+from jaxcap.files.columns import MOMENTUM, StateBatch, describe, refuse_clashes
 from jaxcap.files.contact_columns import CHOICE, POINTS, RowContacts
 from jaxcap.files.contact_files import ContactSets, read_contact_sets
 from jaxcap.files.fields import BASELINES, FIELDS
@@ -48,6 +48,7 @@ def score(
     neighbours: bool = False,
     baselines: bool = False,
     height: Annotated[float | None, tyro.conf.arg(metavar="H")] = None,
+    mass: Annotated[float | None, tyro.conf.arg(metavar="M")] = None,
     cache: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
     strict: bool = False,
     force: bool = False,
@@ -68,30 +69,35 @@ def score(
         neighbours: Rows that follow each other are similar states: saves work where each has its own contacts.
         baselines: Also write how far the capture point lies inside support polygon and hull of the contacts.
         height: CoM height for the capture point [m]; by default that above the contacts of each row.
+        mass: Of the robot [kg]: the column angular_momentum counts then.
         cache: Keep compiled programs in this directory.
         strict: What is hardly plausible is an error, not a note.
         force: Overwrite OUT if it exists.
     """
-    _check_options(sides, batch_size, baselines, height)
+    _check_options(sides, batch_size, baselines, height, mass)
     check_output(output, force=force, inputs=tuple(path for path in (states, contacts) if path))
     sets = read_contact_sets(contacts) if contacts else None
     with (
         jax.enable_x64(dtype == "float64"),
         states_of_log(states, robot, log, output, strict) as file,
-        read_states(file, batch_size, np.float64) as source,
+        read_states(file, batch_size, np.float64, mass) as source,
         compilation_cache(cache),
     ):
         for name in source.skipped:
             print(f"note: {states}: {name!r} is not carried through: not one value for each state", file=sys.stderr)
+        if not source.momentum and {MOMENTUM, f"{MOMENTUM}_x"} & set(source.types):
+            print(f"note: {states}: column {MOMENTUM!r} does not count without --mass", file=sys.stderr)
         described = _contacts(states, source.contacts, contacts, sets)
         size = min(batch_size, source.rows)
-        fields, more = dict(FIELDS), {}
+        fields = dict(FIELDS)
+        more: dict[str, Any] = {} if mass is None else {"mass": mass}
         if baselines:
             refuse_clashes(states, source.types, BASELINES)
-            fields, more = FIELDS | BASELINES, {"capture_point_height": ABOVE_CONTACTS if height is None else height}
+            fields = FIELDS | BASELINES
+            more["capture_point_height"] = ABOVE_CONTACTS if height is None else height
         scorer = scorer_of(described, contacts, size, sides, neighbours)
         answer = partial(_answered, scorer, baselines=baselines, height=height)
-        metadata = describe(described, GRAVITY, sides, np.dtype(dtype), fields, **more)
+        metadata = describe(described, GRAVITY, sides, np.dtype(dtype), fields, source.momentum, **more)
         run = _Run(answer, scorer, strict)
         options: dict[str, Any] = {"fields": fields, "about": source.about, "force": force}
         with write_scores(output, source.types, metadata | said_of_log(source.about), dtype, **options) as sink:
@@ -103,12 +109,14 @@ def score(
     print(f"\n{rate} ({run.seconds:.2f} s, after {run.compiled:.2f} s of compiling; {dtype}, {jax.default_backend()})")
 
 
-def _check_options(sides: int, batch_size: int, baselines: bool, height: float | None) -> None:
+def _check_options(sides: int, batch_size: int, baselines: bool, height: float | None, mass: float | None) -> None:
     """Raises InputError for an option that cannot be used."""
     if height is not None and not baselines:
         raise InputError(f"--height {height} (expected with --baselines, which alone needs it)")
     if height is not None and not 0 < height < np.inf:
         raise InputError(f"--height {height} (expected a positive number of metres)")
+    if mass is not None and not 0 < mass < np.inf:
+        raise InputError(f"--mass {mass} (expected a positive number of kilograms)")
     if sides < 3:
         raise InputError(f"--sides {sides} (expected at least 3)")
     if batch_size < 1:
@@ -149,7 +157,7 @@ def _answered(scorer: Scorer, batch: StateBatch, baselines: bool, height: float 
     """Scores a batch."""
     start = time.perf_counter()
     rows = batch.contacts, batch.coms, batch.com_velocities
-    scores, bad = scorer.score(*rows)
+    scores, bad = scorer.score(*rows, batch.specific_angular_momenta)
     beside = (scorer.baselines(*rows, height),) if baselines else ()
     return _Answered(scores, beside, bad, time.perf_counter() - start)
 

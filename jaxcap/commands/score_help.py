@@ -17,6 +17,11 @@ STATES is Parquet (.parquet), NPZ (.npz) or CSV (.csv); for each state, a row:
   one column for each axis: com_x, com_y, com_z, com_velocity_x, and so on; in
   CSV always.
   All in one inertial frame with z up, the frame of the contacts as well.
+  And, if the robot's angular momentum about its CoM is to count (it comes to
+  rest in proportion to the CoM's speed), one of these, spelt in the same way:
+    angular_momentum           [kg m^2/s], with --mass M; jaxcap states writes
+                               it
+    specific_angular_momentum  the same over the mass [m^2/s]
   Other columns are carried through. The file is read in pieces and may be
   larger than memory.
 

@@ -84,19 +84,27 @@ class Scorer(ABC):
     def stand(self, contacts: Any, n: int, rows: slice) -> Stand:
         """The contacts of these rows of a batch of n, wherever they can be used."""
 
-    def score(self, contacts: Any, coms: Float[np.ndarray, "n 3"], com_velocities: Float[np.ndarray, "n 3"]) -> Scored:
+    def score(
+        self,
+        contacts: Any,
+        coms: Float[np.ndarray, "n 3"],
+        com_velocities: Float[np.ndarray, "n 3"],
+        momenta: Float[np.ndarray, "n 3"] | None = None,
+    ) -> Scored:
         """Scores a batch.
 
         Args:
             contacts: What `StateBatch.contacts` says of the rows.
             coms: (n, 3) [m]. Their dtype decides the precision.
             com_velocities: (n, 3) [m/s].
+            momenta: (n, 3) about the CoM, over the mass [m^2/s]; None for zero.
 
         Returns:
             The answers, and the rows whose contacts cannot be used.
         """
         parts, bad, coms = self._cut(contacts, coms)
-        outs = [self._score(part, coms[part.rows], com_velocities[part.rows]) for part in parts]
+        spinning = lambda part: None if momenta is None else momenta[part.rows]
+        outs = [self._score(part, coms[part.rows], com_velocities[part.rows], spinning(part)) for part in parts]
         return Scored(_in_order(parts, outs), bad)
 
     def baselines(
@@ -127,12 +135,18 @@ class Scorer(ABC):
         parts, bad = self._parts(contacts, len(coms))
         return parts, bad, np.where(bad.rows[:, None], coms.dtype.type(np.nan), coms)
 
-    def _score(self, part: Part, coms: Float[np.ndarray, "k 3"], com_velocities: Float[np.ndarray, "k 3"]) -> Capturability:
+    def _score(
+        self,
+        part: Part,
+        coms: Float[np.ndarray, "k 3"],
+        com_velocities: Float[np.ndarray, "k 3"],
+        momenta: Float[np.ndarray, "k 3"] | None,
+    ) -> Capturability:
         own = isinstance(part.cone, ConeRays)
         cone = self._filled(part.cone) if own else part.cone
-        states, velocities = self._filled(coms), self._filled(com_velocities)
-        out = jaxcap.score(cone, states, velocities, gravity=self._gravity, neighbours=own and self._neighbours)
-        return _first(len(coms), out)
+        states, velocities, spinning = (self._filled(vectors) for vectors in (coms, com_velocities, momenta))
+        options = {"neighbours": own and self._neighbours, "specific_angular_momentum": spinning}
+        return _first(len(coms), jaxcap.score(cone, states, velocities, gravity=self._gravity, **options))
 
     def _baselines(
         self, part: Part, coms: Float[np.ndarray, "k 3"], com_velocities: Float[np.ndarray, "k 3"], height: float | None

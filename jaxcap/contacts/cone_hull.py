@@ -32,8 +32,9 @@ DAMPING = 1e-13
 NEAR = 1e-3
 """A line from the middle that leaves the cone at this or less of a face's depth may cross the simplices of that face."""
 REFINEMENTS = 2
-KEY = np.random.default_rng(0).normal(size=6)
-"""A random direction: rows with equal products with it are equal, and sorting by one number brings equal rows together."""
+KEY = np.random.default_rng(0).normal(size=7)
+"""A random direction, in as many dimensions as any cone here has: rows with equal products with it are equal, and sorting by
+one number brings equal rows together."""
 
 
 class ProjectionError(ValueError):

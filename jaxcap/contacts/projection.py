@@ -5,6 +5,7 @@ Nothing is returned that was not checked against the rays: see `lines` and `cone
 """
 
 from collections.abc import Iterator
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -18,6 +19,10 @@ WANTED = 1e-9
 """The first faces with at most this excess are taken, else the best that there are, ..."""
 ACCEPTED = 1e-6
 """... unless theirs is larger than this: then there is an error. Lines may be as far from the cone, too."""
+
+
+FLAT = 1e-9
+"""A face of a cone with a box whose normal has less than this of force and torque bounds neither."""
 
 
 class Attempt(NamedTuple):
@@ -64,6 +69,34 @@ def cone_faces(rays: Float[np.ndarray, "n d"]) -> Float[np.ndarray, "m d"]:
     if np.isfinite(best.excess):
         raise ProjectionError(f"the cone is not closed: its faces make it {best.excess:.1e} larger (at most {ACCEPTED:.0e})")
     raise failures[0]
+
+
+def boxed_faces(rays: Float[np.ndarray, "n 6"]) -> Float[np.ndarray, "m 6"]:
+    """Normals of the faces of a cone with a box of torques at its tip, the same for a box of any size; unit length.
+
+    The sum of both is a polyhedron, and as the cut of a cone of one more dimension it is projected and checked like any
+    other: the rays go along it, the corners of the box stand at its tip. How far out each face is, the box says itself: a
+    face of the sum touches the cone, and the box at the corner that is farthest along its normal.
+
+    Args:
+        rays: as for `cone_faces`.
+
+    Returns:
+        The normals of the faces: those of the cone, and others where the box stands out.
+
+    Raises:
+        ProjectionError: as `cone_faces`.
+    """
+    corners = np.array(list(product((-1.0, 1.0), repeat=3)))
+    at_tip = np.concatenate([np.zeros((len(corners), 3)), corners, np.ones((len(corners), 1))], axis=1)
+    faces = cone_faces(np.concatenate([np.pad(rays, ((0, 0), (0, 1))), at_tip]))
+    sizes = np.linalg.norm(faces[:, :6], axis=1)
+    bounding = sizes > FLAT  # not the one that says that there is nothing before the cut through the tip
+    normals = faces[bounding, :6] / sizes[bounding, None]
+    off = np.abs(faces[bounding, 6] / sizes[bounding] + np.abs(normals[:, 3:]).sum(axis=1)).max(initial=0)
+    if off > ACCEPTED:
+        raise ProjectionError(f"a face is {off:.1e} from the corner of the box that it touches (at most {ACCEPTED:.0e})")
+    return normals
 
 
 def _attempts(rays: Float[np.ndarray, "n d"]) -> Iterator[CheckedFaces | ProjectionError]:

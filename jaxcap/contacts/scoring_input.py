@@ -37,6 +37,13 @@ def relative(cone: CentroidalCone | ConeRays, coms: Any) -> tuple[CentroidalCone
     return cone._replace(origin=np.zeros_like(cone.origin)), rounded(arms, coms.dtype)
 
 
+def unless_zero(momentum: Any) -> Any:
+    """An angular momentum, None where it is known to be zero: the paper's model then, to the bit."""
+    if momentum is None or isinstance(momentum, jax.core.Tracer) or np.any(np.asarray(momentum) != 0):
+        return momentum
+    return None
+
+
 def rounded(values: Any, dtype: DTypeLike | None = None) -> Any:
     """NumPy's numbers in the precision in which JAX will take them; others as they are.
 

@@ -13,7 +13,7 @@ from jaxcap.errors import InputError
 from jaxcap.files import arrow_contacts
 from jaxcap.files.arrow_columns import is_list, is_number, numbers, vectors
 from jaxcap.files.bad_rows import BadRows
-from jaxcap.files.columns import VECTORS, StateBatch, refuse_clashes, spelling
+from jaxcap.files.columns import StateBatch, refuse_clashes
 from jaxcap.files.contact_columns import CHOICE, RowChoices, RowContacts, agree, contact_columns
 from jaxcap.files.state_file import StateFile
 
@@ -39,9 +39,9 @@ class ArrowStates(StateFile):
         repeated = next((name for name in names if names.count(name) > 1), None)
         if repeated is not None:
             raise InputError(f"{self.path}: {names.count(repeated)} columns have the name {repeated!r}")
-        self._vectors = {vector: spelling(self.path, vector, names) for vector in VECTORS}
-        for name in (name for parts in self._vectors.values() for name in parts):
-            self._check(name, schema.field(name).type, listed=name in VECTORS)
+        self._vectors = self._spelt(names)
+        for name, listed in ((name, len(parts) == 1) for parts in self._vectors.values() for name in parts):
+            self._check(name, schema.field(name).type, listed)
         self.contacts = contact_columns(self.path, names)
         kinds = {name: (f"{self.path}: column {name!r}", schema.field(name).type) for name in self.contacts}
         if self.contacts == (CHOICE,):
@@ -66,8 +66,8 @@ class ArrowStates(StateFile):
             for table in regrouped(self._batches(), self.batch_size):
                 columns = {name: _whole(table.column(name)) for name in self.types}
                 bad = BadRows(table.num_rows)
-                com, com_velocity = (self._vector(columns, names, bad) for names in self._vectors.values())
-                yield StateBatch(com, com_velocity, columns, bad, self._row_contacts(columns))
+                vectors = {vector: self._vector(columns, names, bad) for vector, names in self._vectors.items()}
+                yield self._batch(vectors, columns, bad, self._row_contacts(columns))
 
     def _vector(self, columns: Mapping[str, pa.Array], names: tuple[str, ...], bad: BadRows) -> Float[np.ndarray, "n 3"]:
         if len(names) == 1:

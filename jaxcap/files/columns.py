@@ -20,6 +20,11 @@ from jaxcap.version import __version__
 VECTORS = ("com", "com_velocity")
 """The columns that every state file has: `com` (3), or com_x, com_y, com_z; and so on."""
 
+MOMENTUM = "angular_momentum"
+"""The robot's angular momentum about its CoM [kg m^2/s]: a column that is read where its mass is given."""
+SPECIFIC = "specific_angular_momentum"
+"""The same over the mass [m^2/s]: a column that is read wherever there is one."""
+
 
 class StateBatch(NamedTuple):
     """Consecutive rows of a state file."""
@@ -31,9 +36,11 @@ class StateBatch(NamedTuple):
     columns: Mapping[str, Any]
     """Every column as it was read, the two above included: NumPy arrays, or Arrow arrays where the file is Parquet."""
     bad: BadRows
-    """Rows whose CoM or velocity is not there, or not finite."""
+    """Rows whose CoM, velocity or angular momentum is not there, or not finite."""
     contacts: RowContacts | RowChoices | None = None
     """What the columns say about the contacts of each row, if there are such columns."""
+    specific_angular_momenta: Float[np.ndarray, "n 3"] | None = None
+    """About the CoM, over the mass [m^2/s]; None where the file has none, or no mass is given."""
 
 
 METADATA = "metadata"
@@ -46,6 +53,7 @@ def describe(
     sides: int,
     dtype: DTypeLike,
     fields: Mapping[str, Field] = FIELDS,
+    momentum: tuple[str, ...] = (),
     **more: Any,
 ) -> dict[str, Any]:
     """What the output file says about itself: conventions, units, names of codes, what it was computed from.
@@ -56,12 +64,14 @@ def describe(
         sides: Edges of the friction pyramids.
         dtype: Of the computation.
         fields: The columns that are added.
+        momentum: The columns that hold the angular momentum.
         **more: What else there is to say.
 
     Returns:
         What `to_json` makes text of.
     """
     own = {} if isinstance(contacts, ContactSet | ContactSets) else {POINTS: "m"}
+    own |= {name: "m^2/s" if name.startswith(SPECIFIC) else "kg m^2/s" for name in momentum}
     return {
         "written_by": f"jaxcap {__version__}",
         "conventions": "one inertial frame for all positions and velocities, z up, SI units; "
@@ -106,6 +116,19 @@ def spelling(path: str | Path, vector: str, names: Iterable[str]) -> tuple[str, 
         raise InputError(f"{path}: no column {missing!r} beside {found[0]!r}")
     listed = ", ".join(names[:20]) + (", ..." if len(names) > 20 else "") if names else "none"
     raise InputError(f"{path}: no column {vector!r} and no {', '.join(parts)} (columns: {listed})")
+
+
+def momentum_columns(path: str | Path, names: Iterable[str], mass: float | None) -> tuple[str, ...]:
+    """The columns that hold the angular momentum; none without such a column, or where MOMENTUM has no mass beside it.
+
+    Raises InputError where the mass has nothing to divide.
+    """
+    names = list(names)
+    if any(name in names for name in (SPECIFIC, f"{SPECIFIC}_x")):
+        if mass is not None:
+            raise InputError(f"{path}: column {SPECIFIC!r} is per unit mass already (expected no mass, or {MOMENTUM!r})")
+        return spelling(path, SPECIFIC, names)
+    return () if mass is None else spelling(path, MOMENTUM, names)
 
 
 def refuse_clashes(path: str | Path, names: Iterable[str], reserved: Iterable[str] = tuple(FIELDS)) -> None:

@@ -83,6 +83,13 @@ FIELDS = {
         "speed left where there is no stop",
         "speed that is left where contact is lost or the motion diverges; 0 at a stop",
     ),
+    "effort": Field(
+        "",
+        "effort",
+        "share of the torque limits that holding still takes, above 1: cannot be held; NaN without them",
+        "share of the robot's torque limits that holding still takes where it is; above 1 the posture cannot be held, and "
+        "is not capturable; infinite where no torques hold it; NaN without `actuation`",
+    ),
 }
 """The columns that are added to each row: the fields of `Capturability`, in that order."""
 BASELINES = {

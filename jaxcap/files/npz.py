@@ -14,7 +14,7 @@ from numpy.lib import format as npy
 
 from jaxcap.errors import InputError
 from jaxcap.files.bad_rows import BadRows
-from jaxcap.files.columns import METADATA, VECTORS, StateBatch, refuse_clashes, spelling, to_json
+from jaxcap.files.columns import METADATA, SPECIFIC, VECTORS, StateBatch, refuse_clashes, to_json
 from jaxcap.files.contact_columns import (
     CHOICE,
     MASK,
@@ -70,10 +70,10 @@ class NpzStates(StateFile):
         for member in members.values():
             if member.dtype.hasobject:
                 raise InputError(f"{self.path}: {member.name!r} holds pickled objects, which are never unpickled")
-        self._vectors = {vector: spelling(self.path, vector, members) for vector in VECTORS}
+        self._vectors = self._spelt(list(members))
         required = [name for names in self._vectors.values() for name in names]
-        for name in required:
-            self._check(members[name], (3,) if name in VECTORS else ())
+        for name, row in ((name, (3,) if len(names) == 1 else ()) for names in self._vectors.values() for name in names):
+            self._check(members[name], row)
         self.rows = members[required[0]].shape[0]
         self.contacts = contact_columns(self.path, members)
         self._check_contacts(members)
@@ -117,10 +117,10 @@ class NpzStates(StateFile):
             for pieces in zip(*streams, strict=True):
                 columns = dict(zip(self._members, pieces, strict=True))
                 bad = BadRows(len(pieces[0]))
-                com, com_velocity = (self._vector(columns, names) for names in self._vectors.values())
-                for names, vectors in zip(self._vectors.values(), (com, com_velocity), strict=True):
-                    bad.add_not_finite(names, vectors)
-                yield StateBatch(com, com_velocity, columns, bad, self._row_contacts(columns))
+                vectors = {vector: self._vector(columns, names) for vector, names in self._vectors.items()}
+                for vector, names in self._vectors.items():
+                    bad.add_not_finite(names, vectors[vector])
+                yield self._batch(vectors, columns, bad, self._row_contacts(columns))
 
     def _row_contacts(self, columns: Mapping[str, np.ndarray]) -> RowContacts | RowChoices | None:
         if not self.contacts:
@@ -273,7 +273,7 @@ def _from_arrow(field: Any) -> np.dtype:
     """The NumPy type of an Arrow column. A vector has three entries, whatever its type says of lengths."""
     from jaxcap.files.arrow_columns import is_ragged, numpy_type, vector_type
 
-    if field.name in VECTORS and is_ragged(field.type):
+    if field.name in (*VECTORS, SPECIFIC) and is_ragged(field.type):
         return np.dtype((vector_type(field.type), (3,)))
     return numpy_type(field.type, f"column {field.name!r}")
 
@@ -282,6 +282,6 @@ def _to_numpy(name: str, column: Any) -> np.ndarray:
     """An Arrow column as an array of that type."""
     from jaxcap.files.arrow_columns import is_ragged, to_numpy, vector_type, vectors
 
-    if name in VECTORS and is_ragged(column.type):
+    if name in (*VECTORS, SPECIFIC) and is_ragged(column.type):
         return vectors(column, vector_type(column.type))
     return to_numpy(column, f"column {name!r}")

@@ -27,12 +27,15 @@ READABLE = (".parquet", ".npz", ".csv")
 """Extensions of files of states."""
 
 
-def read_states(path: str | Path, batch_size: int, dtype: DTypeLike = np.float32) -> StateFile:
+def read_states(path: str | Path, batch_size: int, dtype: DTypeLike = np.float32, mass: float | None = None) -> StateFile:
     """Opens a file of states, and checks what can be checked without reading its rows.
 
     The file has the columns `com` [m] and `com_velocity` [m/s]: three floats or integers a row (Parquet: lists; NPZ: arrays
     (n, 3)), or com_x, com_y, com_z and com_velocity_x, ... (CSV: always). Nulls, and lists of another length, are read as
     NaN, and `StateBatch.bad` names these rows. NPZ files are never unpickled.
+
+    A column specific_angular_momentum [m^2/s], spelt as these, is read too; or, where the robot's mass is given, a column
+    angular_momentum [kg m^2/s].
 
     The file may also say what the contacts of each row are: columns contact_points (k x 3) [m], contact_frames (k x 3 x 3),
     contact_friction (k, or one number) and perhaps contact_mask (k booleans), as lists that may differ in length from row
@@ -42,6 +45,7 @@ def read_states(path: str | Path, batch_size: int, dtype: DTypeLike = np.float32
         path: Parquet (.parquet), NPZ (.npz) or CSV (.csv).
         batch_size: Rows at a time, > 0.
         dtype: float32 or float64, of the vectors and contacts.
+        mass: Of the robot, > 0 [kg].
 
     Returns:
         An open file, to be used in a `with` block: see `StateFile`. Memory does not grow with the file.
@@ -56,10 +60,12 @@ def read_states(path: str | Path, batch_size: int, dtype: DTypeLike = np.float32
     extension = extension_of(path, READABLE)
     if batch_size < 1:
         raise InputError(f"batch size = {batch_size} (expected at least 1)")
+    if mass is not None and not 0 < mass < np.inf:
+        raise InputError(f"mass = {mass} (expected a positive number of kilograms)")
     if not path.is_file():
         raise InputError(f"{path}: {'not a file' if path.exists() else 'no such file'}")
     if extension == ".npz":
-        return NpzStates(path, batch_size, np.dtype(dtype))
+        return NpzStates(path, batch_size, np.dtype(dtype), mass)
     kind: type[StateFile]
     if extension == ".csv":
         with needs_extra("data", "reading CSV"):
@@ -67,7 +73,7 @@ def read_states(path: str | Path, batch_size: int, dtype: DTypeLike = np.float32
     else:
         with needs_extra("data", "reading Parquet"):
             from jaxcap.files.parquet import ParquetStates as kind
-    return kind(path, batch_size, np.dtype(dtype))
+    return kind(path, batch_size, np.dtype(dtype), mass)
 
 
 class ScoreWriter:

@@ -22,7 +22,7 @@ from jaxcap.batch.devices import Spread, spread_over
 from jaxcap.batch.rounds import Shared, States, in_two_rounds
 from jaxcap.contacts.cone import CentroidalCone, ConeRays
 from jaxcap.contacts.conventions import ArrayLike, FloatArray
-from jaxcap.maps.grid import CONTACTS, POSITION, Grid, look_up
+from jaxcap.maps.grid import CONTACTS, POSITION, Grid, look_up, look_up_momentum
 from jaxcap.numerics.whole import ceil_div
 from jaxcap.one_state.decision import LIMITS, capturability_along, capturability_at
 from jaxcap.one_state.line import Motion
@@ -108,7 +108,9 @@ class Answers:
     ):
         self.grid, self.quantities, self.regions = grid, quantities, regions(grid)
         tables = grid.tables(np.float64)
-        self._speeds = _cast(tables.pop("speed", np.zeros(0)), dtype) if grid.polar else None
+        # With angular momentum each speed has a polygon of its own: it is then an axis like the others.
+        self._shared_lines = grid.polar and not grid.spins
+        self._speeds = _cast(tables.pop("speed", np.zeros(0)), dtype) if self._shared_lines else None
         self._names = tuple(tables)
         self._dims = tuple(name for name in grid.dims if name in (*self._names, *CONTACTS))
         self._sets = {name: size for name, size in self.regions.sizes.items() if name in CONTACTS}
@@ -128,7 +130,7 @@ class Answers:
 
     def dims(self, quantity: str) -> tuple[str, ...]:
         """The dimensions of a quantity: those of the grid, without the speed where it does not depend on that."""
-        return self._dims if self.grid.polar and quantity in LIMITS else self.grid.dims
+        return self._dims if self._shared_lines and quantity in LIMITS else self.grid.dims
 
     def states(self, region: Region) -> int:
         """How many points of the grid lie in it."""
@@ -175,7 +177,7 @@ class Answers:
         """A quantity of a region from those of its blocks."""
         shape, dims = region.shape(self._dims), self.dims(name)
         values = np.concatenate([block[name] for block in blocks])[: math.prod(shape)]
-        if "speed" in dims:
+        if self._shared_lines and "speed" in dims:
             at_speeds = values[:, : region.shape(["speed"])[0]].reshape(*shape, -1)
             return np.ascontiguousarray(np.moveaxis(at_speeds, -1, dims.index("speed")))
         return values.reshape(shape)  # drops the axis of a single speed
@@ -225,13 +227,16 @@ def _of_block(
     """The fields of one block of lines of travel."""
     index = jnp.minimum(start + jnp.arange(options.size, dtype=jnp.int32), jnp.prod(shape, dtype=jnp.int32) - 1)
     places = first[:, None] + _unravelled(index, shape)
-    com, along = look_up(tables, dict(zip(options.names, places, strict=True)))
+    of_axes = dict(zip(options.names, places, strict=True))
+    (com, along), momenta = look_up(tables, of_axes), look_up_momentum(tables, of_axes)
     answer: Callable[[Motion], dict[str, Array]]
     if speeds is None:
         answer = partial(_at, fields=options.fields)
     else:
         answer = partial(capturability_along, speeds=speeds, fields=options.fields)
-    return in_two_rounds(Shared(gravity, cone), States(jnp.asarray(com.T), jnp.asarray(along.T)), answer=answer)
+    spinning = None if momenta is None else jnp.asarray(momenta.T)
+    states = States(jnp.asarray(com.T), jnp.asarray(along.T), specific_angular_momenta=spinning)
+    return in_two_rounds(Shared(gravity, cone), states, answer=answer)
 
 
 def _at(motion: Motion, fields: tuple[str, ...]) -> dict[str, Array]:

@@ -22,6 +22,7 @@ from jaxcap.errors import InputError
 POSITION = ("com_x", "com_y", "com_z")
 CARTESIAN = ("velocity_x", "velocity_y", "velocity_z")
 POLAR = ("heading", "pitch", "speed")
+MOMENTUM = tuple(f"specific_angular_momentum_{axis}" for axis in "xyz")
 CONTACTS = ("contact_set", "friction", "slope", "downhill")
 """Axes along which the contacts change; see `contact_axes`."""
 
@@ -45,6 +46,12 @@ AXES = {
     "heading": About("rad", "heading", "direction of the CoM velocity in the horizontal plane, from x towards y"),
     "pitch": About("rad", "pitch", "elevation of the CoM velocity above the horizontal plane"),
     "speed": About("m/s", "CoM speed", "norm of the CoM velocity"),
+    **{
+        name: About(
+            "m^2/s", f"angular momentum {name[-1]} / mass", f"angular momentum about the CoM over the mass, {name[-1]}"
+        )
+        for name in MOMENTUM
+    },
     "contact_set": About("1", "contact set", "contact set, counted from 0"),
     "friction": About("1", "friction coefficient", "friction coefficient of all contacts"),
     "slope": About("rad", "slope", "tilt of all contacts, about a level axis through their centroid"),
@@ -93,6 +100,11 @@ class Grid:
         return "heading" in self.axes
 
     @property
+    def spins(self) -> bool:
+        """Whether states have angular momentum: what goes with it depends on the speed, so speeds are no more one line."""
+        return any(name in self.axes for name in MOMENTUM)
+
+    @property
     def has_speed(self) -> bool:
         """Whether the points are states; otherwise they are lines of travel."""
         return not self.polar or "speed" in self.axes
@@ -125,9 +137,14 @@ class Grid:
         nowhere = np.zeros_like(index)
         tables = self.tables(dtype)
         com, along = look_up(tables, {name: places.get(name, nowhere) for name in tables})
-        if self.polar:
-            along = along * tables["speed"][places.get("speed", nowhere)]
         return np.asarray(com.T), np.asarray(along.T)
+
+    def momenta(self, index: Int[np.ndarray, " n"], dtype: DTypeLike = np.float64) -> Float[np.ndarray, "n 3"] | None:
+        """The angular momenta over the mass that go with `states`, (n, 3) [m^2/s]; None without such axes."""
+        places = dict(zip(self.dims, np.unravel_index(index, self.shape), strict=True)) if self.dims else {}
+        tables = self.tables(dtype)
+        found = look_up_momentum(tables, {name: places.get(name, np.zeros_like(index)) for name in tables})
+        return None if found is None else np.asarray(found.T)
 
 
 def grid_of(axes: Mapping[str, Any]) -> Grid:
@@ -155,6 +172,9 @@ def grid_of(axes: Mapping[str, Any]) -> Grid:
     if "downhill" in axes and "slope" not in axes:
         raise InputError("axis downhill: there is no slope (expected an axis 'slope')")
     given = {name: _values(name, values) for name, values in axes.items()}
+    if polar and "speed" not in axes and set(axes) & set(MOMENTUM):
+        name = next(name for name in axes if name in MOMENTUM)
+        raise InputError(f"axis {name} needs a speed (expected an axis 'speed', or {', '.join(CARTESIAN)})")
     horizontal = CARTESIAN[2] if cartesian else "pitch"
     return Grid(given | ({} if horizontal in given else {horizontal: np.array(DEFAULTS[horizontal])}))
 
@@ -187,13 +207,26 @@ def axes_around(contacts: ContactSet | Iterable[ContactSet], axes: Mapping[str, 
 def look_up(
     tables: Mapping[str, FloatArray], places: Mapping[str, Int[FloatArray, " n"]]
 ) -> tuple[Float[FloatArray, "3 n"], Float[FloatArray, "3 n"]]:
-    """CoM (3, n) [m], and velocity [m/s] or, of polar axes, direction (3, n), at these places of the tables."""
+    """CoM (3, n) [m], and velocity [m/s] or, of polar axes without a speed, direction (3, n), at these places."""
     xp = np if isinstance(next(iter(places.values())), np.ndarray) else jnp
     at = lambda name: tables[name][..., places[name]]
     if "heading" not in tables:
         return xp.stack([at(name) for name in POSITION]), xp.stack([at(name) for name in CARTESIAN])
     heading, pitch = at("heading"), at("pitch")
-    return xp.stack([at(name) for name in POSITION]), xp.stack([heading[0] * pitch[0], heading[1] * pitch[0], pitch[1]])
+    along = xp.stack([heading[0] * pitch[0], heading[1] * pitch[0], pitch[1]])
+    return xp.stack([at(name) for name in POSITION]), along * at("speed") if "speed" in tables else along
+
+
+def look_up_momentum(
+    tables: Mapping[str, FloatArray], places: Mapping[str, Int[FloatArray, " n"]]
+) -> Float[FloatArray, "3 n"] | None:
+    """Angular momentum over the mass (3, n) [m^2/s] at these places of the tables; None if no axis gives any."""
+    given = [name for name in MOMENTUM if name in tables]
+    if not given:
+        return None
+    xp = np if isinstance(places[given[0]], np.ndarray) else jnp
+    nothing = xp.zeros_like(tables[given[0]][..., places[given[0]]])
+    return xp.stack([tables[name][..., places[name]] if name in given else nothing for name in MOMENTUM])
 
 
 def _table(name: str, values: Float[np.ndarray, " n"]) -> Float[np.ndarray, "..."]:

@@ -63,7 +63,8 @@ def kernel_map(
             Contacts may be several sets, perhaps with names: then the map has an axis contact_set, of their numbers.
         axes: com_x, com_y, com_z [m]; and either heading, pitch [rad] and speed [m/s], or velocity_x, velocity_y,
             velocity_z [m/s]. heading counts from x towards y, pitch from the horizontal upwards; pitch and velocity_z may be
-            left out, and are 0.
+            left out, and are 0. With a speed perhaps also specific_angular_momentum_x, _y, _z [m^2/s], the robot's angular
+            momentum about its CoM over its mass, 0 where left out; see `jaxcap.capturability`.
         quantities: Fields of `Capturability`. By default capturable, margin and case; without velocity_* and speed,
             min_speed and max_speed, which do not need one.
         gravity: (3,) [m/s^2].
@@ -74,8 +75,9 @@ def kernel_map(
 
     Returns:
         A Dataset with the axes with more than one value, or a list of one, as dimensions in the order given, the others as
-        coordinates without dimension, and a variable for each quantity; min_speed and max_speed have no dimension `speed`.
-        At speed zero the answers are those of a robot that stands still, see `Status.NO_DIRECTION`. Everything has units;
+        coordinates without dimension, and a variable for each quantity; min_speed and max_speed have no dimension `speed`,
+        unless there is angular momentum. At speed zero the answers are those of a robot that stands still, see
+        `Status.NO_DIRECTION`. Everything has units;
         `case` and `status` are int8 with flag_values and flag_meanings, and contact_set has them too if the sets have
         names. The attributes hold contacts, those given, as the text of a contacts file, sides (both only where contacts
         were given), gravity, dtype, conventions and version.

@@ -2,6 +2,6 @@
 
 Begin with `capturability`, the entry; `line` (the polygon cut along the velocity, and the walk along it) and `decision`
 (verdict and margins from the walk's energies) are its two halves. `polygon` is the waist: what they ask of a polygon,
-`face_polygon` and `ray_polygon` answer it, `walk` is what these two share. Arrays carry their lanes last. May import
-`numerics` and `contacts`.
+`face_polygon`, `ray_polygon` and `actuated_polygon` (a robot's limits) answer it, `walk` is what these share. Arrays
+carry their lanes last. May import `numerics` and `contacts`.
 """

@@ -4,16 +4,23 @@ import jax
 import numpy as np
 from jaxtyping import Array, Num
 
+from jaxcap.contacts.actuation import Actuation, actuated
 from jaxcap.contacts.cone import CentroidalCone, ConeRays
 from jaxcap.contacts.conventions import GRAVITY, ArrayLike, checked_gravity
-from jaxcap.contacts.scoring_input import check_cone, relative, rounded
+from jaxcap.contacts.scoring_input import check_cone, relative, rounded, unless_zero
 from jaxcap.one_state.decision import capturability_at
-from jaxcap.one_state.line import motion_of_lanes
+from jaxcap.one_state.line import Cone, motion_of_lanes
 from jaxcap.one_state.result import Capturability
 
 
 def capturability(
-    cone: CentroidalCone | ConeRays, com: ArrayLike, com_velocity: ArrayLike, gravity: ArrayLike = GRAVITY
+    cone: CentroidalCone | ConeRays,
+    com: ArrayLike,
+    com_velocity: ArrayLike,
+    gravity: ArrayLike = GRAVITY,
+    *,
+    specific_angular_momentum: ArrayLike | None = None,
+    actuation: Actuation | None = None,
 ) -> Capturability:
     """Can the robot come to rest without moving a contact, its CoM decelerating along its own velocity?
 
@@ -26,28 +33,43 @@ def capturability(
             lose nothing, for the contacts' centroid is subtracted before they are rounded.
         com_velocity: (3,) [m/s].
         gravity: (3,) [m/s^2].
+        specific_angular_momentum: (3,) the robot's angular momentum about its CoM, over its mass, in the frame of the
+            contacts [m^2/s]; None for zero, the paper's model. It comes to rest in proportion to the CoM's speed (and turns
+            with the CoM where that swings back), so speeds and margin are those of a robot that has more or less of both.
+            At zero velocity it does not count: the answer says whether the robot can stand where it is.
+        actuation: what the robot's joints can bear in its posture; with rays only. The answer is differentiable in it too.
 
     Returns:
         The verdict, how it ends, margins [m/s], and the way to the stop.
 
     Raises:
-        TypeError: for a wrong shape, or contacts in place of a cone.
+        TypeError: for a wrong shape, contacts in place of a cone, or an actuation of other contacts.
 
     Source: Section III, Algorithms 1 and 2, with the energy in place of time; C3.3, which the paper leaves open, by swings.
     """
     # NumPy arrays go to the compiled program as they are: to make JAX's of them first takes longer than the answer.
     check_cone(cone)
     checked_gravity(gravity, finite=False)
-    position, velocity = (x if isinstance(x, jax.Array) else np.asarray(x) for x in (com, com_velocity))
-    for name, value in (("com", position), ("com_velocity", velocity)):
-        if value.shape != (3,):
+    array = lambda x: x if isinstance(x, jax.Array) else np.asarray(x)
+    position, velocity = array(com), array(com_velocity)
+    momentum = None if specific_angular_momentum is None else array(specific_angular_momentum)
+    for name, value in (("com", position), ("com_velocity", velocity), ("specific_angular_momentum", momentum)):
+        if value is not None and value.shape != (3,):
             raise TypeError(f"{name} has shape {value.shape} (expected (3,); `score` takes many states)")
-    return capturability_of_lanes(*relative(cone, position), rounded(velocity), gravity)
+    cone, position = relative(cone, position)
+    limited = cone if actuation is None else actuated(cone, actuation)
+    return capturability_of_lanes(limited, position, rounded(velocity), gravity, unless_zero(rounded(momentum)))
 
 
 @jax.jit
 def capturability_of_lanes(
-    cone: CentroidalCone | ConeRays, com: Num[Array, "3 *n"], com_velocity: Num[Array, "3 *n"], gravity: ArrayLike
+    cone: Cone,
+    com: Num[Array, "3 *n"],
+    com_velocity: Num[Array, "3 *n"],
+    gravity: ArrayLike,
+    specific_angular_momentum: Num[Array, "3 *n"] | None = None,
 ) -> Capturability:
     """`capturability` of states side by side, lanes last."""
-    return capturability_at(motion_of_lanes(cone, com, com_velocity, gravity))
+    return capturability_at(
+        motion_of_lanes(cone, com, com_velocity, gravity, specific_angular_momentum=specific_angular_momentum)
+    )

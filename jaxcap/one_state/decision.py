@@ -14,12 +14,15 @@ from jaxtyping import Array, Bool, Float, Num
 from jaxcap.numerics.guarded import root, select
 from jaxcap.one_state.boundary import End
 from jaxcap.one_state.line import Line, Motion
+from jaxcap.one_state.polygon import Survey
 from jaxcap.one_state.reach import reach_time
 from jaxcap.one_state.result import Capturability, Case, Status
 from jaxcap.one_state.swings import farthest_rest, swing
 
 LIMITS = ("min_speed", "max_speed")
 """Fields that do not depend on the speed."""
+UNHELD = 0.5
+"""Margin of a posture that cannot be held, for each part of the torque limits that it lacks [m/s]: it only orders states."""
 WALKED = ("status", "paper_margin", "distance", "time", "residual_speed")
 """Fields for which the motion itself is followed; the others are comparisons of the speed with a few numbers."""
 
@@ -116,7 +119,7 @@ def _case(line: Line, speeds: Speeds, speed: Array) -> Array:
 def _still(line: Line) -> Capturability:
     """The answer at speed zero: the static region of any line through the CoM says whether it can stand where it is."""
     survey = line.survey
-    stands = survey.known & survey.standing & survey.feasible & (survey.s_min <= 0) & (survey.s_max >= 0)
+    stands = survey.known & survey.standing & survey.feasible & _stands(survey)
     none = jnp.full_like(survey.s_min, jnp.nan)
     case = jnp.where(stands, Case.C3_1, jnp.where(survey.known, Case.EMPTY, Case.UNDECIDED))
     return Capturability(
@@ -130,7 +133,26 @@ def _still(line: Line) -> Capturability:
         distance=jnp.where(stands, 0, none),
         time=jnp.where(stands, 0, none),
         residual_speed=jnp.where(survey.known, 0, none),
+        effort=jnp.where(survey.known, _effort(survey), none),
     )
+
+
+def _effort(survey: Survey) -> Array:
+    """NaN without the robot's limits."""
+    return jnp.full_like(survey.s_min, jnp.nan) if survey.effort is None else survey.effort
+
+
+def _stands(survey: Survey) -> Array:
+    """The CoM may stay where it is."""
+    return (survey.s_min <= 0) & (survey.s_max >= 0) if survey.effort is None else survey.effort <= 1
+
+
+def _unheld(survey: Survey) -> Array:
+    """Torques hold the posture, but not within their limits.
+
+    Where none at all do, no torque is what is missing: the walk alone decides, as without limits.
+    """
+    return (_effort(survey) > 1) & jnp.isfinite(_effort(survey))
 
 
 class _Way(NamedTuple):
@@ -174,6 +196,9 @@ def _answer(motion: Motion, speeds: Speeds) -> Capturability:
     case, moving = _case(line, speeds, speed), speed > 0
     # Where no speed is capturable the margin is minus the whole speed: `largest` is zero.
     margin = jnp.minimum(speeds.largest - speed, jnp.where(line.ahead, speed - speeds.smallest, jnp.inf))
+    effort, unheld = _effort(line.survey), _unheld(line.survey)
+    lacking = UNHELD * (1 - jnp.where(unheld, effort, 1))
+    margin = jnp.where(unheld, jnp.minimum(margin, lacking), margin)
     way = _way(line, speeds, speed, case)
     status = select(
         [~finite, ~speeds.known, ~moving, way.swinging],
@@ -181,7 +206,7 @@ def _answer(motion: Motion, speeds: Speeds) -> Capturability:
         Status.OK,
     )
     decided = finite & speeds.known
-    capturable = jnp.where(moving, margin >= 0, line.survey.standing) & decided
+    capturable = jnp.where(moving, (margin >= 0) & ~unheld, line.survey.standing & _stands(line.survey)) & decided
     stopped = capturable & (status != Status.MAX_SWINGS)
     figure = lambda known, value: jnp.where(decided & known, value, jnp.nan)
     return Capturability(
@@ -196,4 +221,5 @@ def _answer(motion: Motion, speeds: Speeds) -> Capturability:
         distance=figure(stopped, way.stop),
         time=figure(stopped, way.duration),
         residual_speed=figure(True, jnp.where(capturable, 0, way.residual)),
+        effort=figure(True, effort),
     )

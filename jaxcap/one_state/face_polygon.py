@@ -30,9 +30,9 @@ class Polygon(NamedTuple):
     on_alpha: Float[Array, "m *n"]
     """[1/s^2]"""
     beyond: Float[Array, "m *n"]
-    """[m/s^2]; of the force beyond free fall: zero where nothing of gravity is across the line."""
+    """[m/s^2]; of the force beyond free fall: zero where nothing of gravity is across the line, but for spin and a box."""
     fall: Float[Array, "*n"]
-    """Acceleration along the line in free fall [m/s^2]."""
+    """`WrenchLine.fall` [m/s^2]."""
     line: WrenchLine
     """What the rows were made of."""
     top: tuple[Float[Array, "*n"], Float[Array, "*n"]]
@@ -113,31 +113,44 @@ class Polygon(NamedTuple):
 
 
 def polygon(
-    cone: CentroidalCone, com: Float[Array, "3 *n"], along: Float[Array, "3 *n"], gravity: Float[Array, "3"]
+    cone: CentroidalCone,
+    com: Float[Array, "3 *n"],
+    along: Float[Array, "3 *n"],
+    gravity: Float[Array, "3"],
+    spin: Float[Array, "3 *n"] | None = None,
 ) -> Polygon:
     """The polygon of a CoM that moves on the line com + alpha * along, Section III-A.
 
-    com: [m]. along: unit vectors (zero: every row bounds nothing, or forbids everything). gravity: [m/s^2].
+    com: [m]. along: unit vectors (zero: every row bounds nothing, or forbids everything). gravity: [m/s^2]. spin: of
+    `wrench_line` [m].
     """
     faces = jnp.asarray(cone.padded(1).faces, com.dtype)  # a cone that is all of space has no face
-    line = wrench_line(cone.origin, cone.length, com, along, gravity)
+    line = wrench_line(cone.origin, cone.length, com, along, gravity, spin)
     wrenches = jnp.stack([line.per_acceleration, line.per_alpha, line.across], axis=1)
     rows = jnp.tensordot(faces, wrenches, axes=1, precision=jax.lax.Precision.HIGHEST)
     # What a CoM moved by the slack, or a velocity turned by it, could make zero, is zero. A deceleration that is all slack
     # would stop the robot in the end, however far away.
-    on_acceleration = without_noise(rows[:, 0], line.slack)
+    on_acceleration = without_noise(rows[:, 0], line.slack_of_acceleration)
     steepest = line.weight / line.length
     return _stored(
         Polygon(
             on_acceleration=on_acceleration,
             on_alpha=without_noise(rows[:, 1], line.slack * steepest),
-            beyond=snapped(rows[:, 2], line.slack * line.sideways),
+            beyond=_with_box(snapped(rows[:, 2], line.slack * line.sideways), cone),
             fall=line.fall,
             line=line,
-            top=(line.remoteness, steepest),
+            top=(line.largest, steepest),
             size=line.length * line.remoteness,
         )
     )
+
+
+def _with_box(beyond: Float[Array, "m *n"], cone: CentroidalCone) -> Float[Array, "m *n"]:
+    """What rows allow, and what the momentum box adds."""
+    if cone.offsets is None:
+        return beyond
+    offsets = jnp.asarray(cone.padded(1).offsets, beyond.dtype)
+    return beyond + offsets.reshape(-1, *[1] * (beyond.ndim - 1))
 
 
 def _between(low: Float[Array, "*n"], high: Float[Array, "*n"]) -> Float[Array, "*n"]:

@@ -29,6 +29,8 @@ class Survey(NamedTuple):
     """From where the walk may start."""
     near: Any = ()
     """From where the survey of a similar state may start."""
+    effort: Float[Array, "*n"] | None = None
+    """Share of the robot's torque limits that holding still takes; infinite where no torques do; None without limits."""
 
 
 @runtime_checkable

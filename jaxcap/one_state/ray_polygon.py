@@ -65,9 +65,9 @@ class RayPolygon(NamedTuple):
     at_rest: Load
     """What the rays have to carry at alpha = 0 without acceleration: the weight."""
     falling: Load
-    """The same beyond free fall: the part of the weight across the line."""
+    """The same at the acceleration `fall`: without spin the part of the weight across the line."""
     fall: Float[Array, "*n"]
-    """Acceleration along the line in free fall [m/s^2]."""
+    """Acceleration along the line that asks least of the contacts, `WrenchLine.fall` [m/s^2]."""
     line: WrenchLine
     """What the wrenches were made of."""
     steepest: Float[Array, "*n"]
@@ -167,14 +167,18 @@ class RayPolygon(NamedTuple):
 
 
 def ray_polygon(
-    rays: ConeRays, com: Float[Array, "3 *n"], along: Float[Array, "3 *n"], gravity: Float[Array, "3"]
+    rays: ConeRays,
+    com: Float[Array, "3 *n"],
+    along: Float[Array, "3 *n"],
+    gravity: Float[Array, "3"],
+    spin: Float[Array, "3 *n"] | None = None,
 ) -> RayPolygon:
     """The polygon of a CoM that moves on the line com + alpha * along, Section III-A.
 
-    rays: with lanes last, or none. com: [m]. along: unit vectors, or zero. gravity: [m/s^2].
+    rays: with lanes last, or none. com: [m]. along: unit vectors, or zero. gravity: [m/s^2]. spin: of `wrench_line` [m].
     """
     bounds = tolerances(com.dtype)
-    line = wrench_line(rays.origin, rays.length, com, along, gravity)
+    line = wrench_line(rays.origin, rays.length, com, along, gravity, spin)
     scaled = lambda wrench: jnp.concatenate([wrench[:3], wrench[3:] / line.length])
     columns = jnp.swapaxes(jnp.asarray(rays.rays, com.dtype), 0, 1)
     columns = columns.reshape(*columns.shape, *[1] * (com.ndim + 1 - columns.ndim))  # one set for all lanes
@@ -277,7 +281,7 @@ def _line(polygon: RayPolygon, basis: Basis) -> Affine:
     share = jnp.where(own > 0.5, 1 / jnp.where(own > 0.5, own, 1), 1)
     beyond, slope = share * along(polygon.falling.wrench), share * along(polygon.per_alpha)
     slack = polygon.line.slack * jnp.max(jnp.abs(normal), axis=0)
-    noise = slack * (jnp.abs(beyond) + polygon.line.sideways)
+    noise = slack * polygon.line.size_beyond(beyond)
     return Affine(snapped(beyond + polygon.fall, noise), without_noise(slope, slack * polygon.steepest))
 
 

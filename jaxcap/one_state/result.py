@@ -39,7 +39,8 @@ class Status(IntEnum):
 
     OK = 0
     NO_DIRECTION = 1
-    """Zero velocity: capturable if and only if the CoM is in static equilibrium; margin and speeds are NaN."""
+    """Zero velocity, or one that is lost beside the angular momentum: capturable if and only if the CoM is in static
+    equilibrium; margin and speeds are NaN."""
     MAX_STEPS = 2
     """The polygon has more edges than are walked, or the simplex takes too many pivots; undecided."""
     MAX_SWINGS = 3
@@ -80,6 +81,9 @@ class Capturability(NamedTuple):
     """Duration of that manoeuvre [s], NaN where there is no stop."""
     residual_speed: Float[Array, "..."]
     """Speed that is left where the walk ends in C1 or C2 [m/s], zero where it stops."""
+    effort: Float[Array, "..."]
+    """Share of the robot's torque limits that holding still takes where it is; above one the posture cannot be held, and
+    is not capturable. Infinite where no torques hold it; NaN without actuation."""
 
     def __repr__(self) -> str:
         """A line: one state's answer, or how many of many can stop, and their margins."""
@@ -89,6 +93,8 @@ class Capturability(NamedTuple):
         capturable, margin, status = (np.asarray(field) for field in (self.capturable, self.margin, self.status))
         if capturable.ndim == 0:
             figures = {name: float(getattr(self, name)) for name in self._fields[3:]}
+            if np.isnan(figures["effort"]):
+                del figures["effort"]  # it was not asked for
             said = "".join(f", {name}={value:.4g}" for name, value in figures.items())
             case, said_of = Case(int(self.case)).name, Status(int(status)).name
             return f"Capturability(capturable={bool(capturable)}, case={case}, status={said_of}{said})"

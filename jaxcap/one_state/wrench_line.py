@@ -10,6 +10,13 @@ moved a little, however small f is: near free fall f vanishes, and gravity is no
     f = beyond * v - across,   beyond = acceleration - fall,   fall = g . v,   across = g - fall * v,
 
 computed without cancellation, and all slack is relative to |beyond| + |across|.
+
+Angular momentum. The robot's own, about the CoM, comes to rest in proportion to the CoM's speed: per unit mass it is
+L / m = spin * alphadot, with the state's spin = L / (m |cdot|), so its rate is spin * acceleration: one vector beside c x v,
+and the polygon stays a polygon. So it is zero where the CoM comes to rest, and where the CoM swings back it has turned too:
+the ratio of L to the momentum m alphadot v is the same all along the line, whence the spin along -v is -spin, as c x v turns
+to c x -v. What is said above of the force is then said of the wrench: `fall` is the acceleration at which it is smallest,
+g . v / (1 + |spin|^2 / length^2).
 """
 
 from typing import NamedTuple
@@ -35,19 +42,20 @@ class WrenchLine(NamedTuple):
     """
 
     per_acceleration: Float[Array, "6 *n"]
-    """(v, c x v), with m v for the m I3 printed in (11)."""
+    """(v, c x v + spin), with m v for the m I3 printed in (11)."""
     per_alpha: Float[Array, "6 *n"]
     """(0, g x v)"""
     at_rest: Float[Array, "6 *n"]
     """(g, c x g)"""
     across: Float[Array, "6 *n"]
-    """The same of the part of g that is across the line: zero where the line is vertical."""
+    """What is left of it at the acceleration `fall`, (g, c x g) - per_acceleration * fall: without spin the part of g that
+    is across the line, zero where the line is vertical."""
     fall: Float[Array, "*n"]
-    """Acceleration along the line in free fall, g . v [m/s^2]."""
+    """Acceleration along the line that asks least of the contacts: without spin that of free fall, g . v [m/s^2]."""
     weight: Float[Array, "*n"]
     """|g| [m/s^2]."""
     sideways: Float[Array, "*n"]
-    """Size of the part of g across the line [m/s^2]."""
+    """Size of the wrench at `fall`: without spin that of the part of g across the line [m/s^2]."""
     length: Float[Array, "*#n"]
     """Size of the stance [m]."""
     remoteness: Float[Array, "*n"]
@@ -55,14 +63,36 @@ class WrenchLine(NamedTuple):
     slack: Float[Array, "*n"]
     """`Tolerances.slack` for this state: of the stance or of the CoM's distance from it, and never less than what the
     positions themselves may be rounded by, which is more where they are far from the world's origin [-]."""
+    lever: Float[Array, "*n"] | None = None
+    """|spin| over the size of the stance: how much torque an acceleration takes beside its force [-]; None without spin."""
+
+    @property
+    def largest(self) -> Float[Array, "*n"]:
+        """The largest that a coefficient of the acceleration can be [-]."""
+        return self.remoteness if self.lever is None else self.remoteness + self.lever
+
+    @property
+    def slack_of_acceleration(self) -> Float[Array, "*n"]:
+        """`slack` of what the acceleration is multiplied by."""
+        return self.slack if self.lever is None else self.slack * (1 + self.lever)
+
+    def size_beyond(self, beyond: Float[Array, "*n"]) -> Float[Array, "*n"]:
+        """Size of the wrench at the acceleration fall + beyond [m/s^2]."""
+        beyond = jnp.abs(beyond)
+        return (beyond if self.lever is None else beyond * (1 + self.lever)) + self.sideways
 
     def slack_at(self, beyond: Float[Array, "*n"]) -> Float[Array, "*n"]:
-        """By how much a face may be missed at an acceleration so far beyond free fall [m/s^2]: relative to its force."""
-        return self.slack * (jnp.abs(beyond) + self.sideways)
+        """By how much a face may be missed at the acceleration fall + beyond [m/s^2]: relative to the wrench there."""
+        return self.slack * self.size_beyond(beyond)
 
 
 def wrench_line(
-    origin: ArrayLike, length: ArrayLike, com: Float[Array, "3 *n"], along: Float[Array, "3 *n"], gravity: ArrayLike
+    origin: ArrayLike,
+    length: ArrayLike,
+    com: Float[Array, "3 *n"],
+    along: Float[Array, "3 *n"],
+    gravity: ArrayLike,
+    spin: Float[Array, "3 *n"] | None = None,
 ) -> WrenchLine:
     """The wrenches of a CoM on the line com + alpha * along.
 
@@ -72,6 +102,7 @@ def wrench_line(
         com: (3, *n) [m].
         along: (3, *n) unit vectors, or zero.
         gravity: (3,) [m/s^2].
+        spin: (3, *n) angular momentum about the CoM over mass and speed [m]; None for zero, to the bit and at no cost.
 
     A line within the angle `slack` of gravity counts as vertical.
     """
@@ -87,7 +118,7 @@ def wrench_line(
     rounded = POSITION * float(jnp.finfo(com.dtype).eps) * (size(com) + size(column(origin))) / length
     noise = jnp.where(size(across) > bounds.slack * weight, 0, jnp.inf)
     across, turning = snapped(across, noise), snapped(turning, noise)
-    return WrenchLine(
+    line = WrenchLine(
         per_acceleration=jnp.concatenate([along, _cross(arm, along)]),
         per_alpha=jnp.concatenate([jnp.zeros_like(along), turning]),
         at_rest=jnp.concatenate([gravity, _cross(arm, gravity)]),
@@ -98,6 +129,28 @@ def wrench_line(
         length=length,
         remoteness=remoteness,
         slack=bounds.slack * remoteness + rounded,
+    )
+    return line if spin is None else _spinning(line, spin)
+
+
+def _spinning(line: WrenchLine, spin: Float[Array, "3 *n"]) -> WrenchLine:
+    """The same with angular momentum.
+
+    Where the spin is long, little acceleration is left, and to count it from free fall would lose it in the difference: so
+    it is counted from where the wrench is smallest.
+    """
+    lever = jnp.sqrt(jax.lax.stop_gradient(jnp.sum(spin * spin, axis=0))) / line.length
+    fall = line.fall / (1 + lever**2)
+    turning = jnp.concatenate([jnp.zeros_like(spin), spin])
+    # at_rest - per_acceleration * fall, without the difference where there is little spin
+    across = line.across + (line.fall - fall) * line.per_acceleration - fall * turning
+    force = jnp.sqrt(jax.lax.stop_gradient(jnp.sum(across[:3] ** 2, axis=0)))
+    return line._replace(
+        per_acceleration=line.per_acceleration + turning,
+        across=across,
+        fall=fall,
+        sideways=force + jax.lax.stop_gradient(jnp.abs(fall)) * lever,
+        lever=lever,
     )
 
 

@@ -60,6 +60,8 @@ def com_area(
     lines: int = 64,
     reach: float = 2.0,
     gravity: ArrayLike = GRAVITY,
+    *,
+    specific_angular_momentum: ArrayLike | None = None,
 ) -> ComArea:
     """From where, in the horizontal plane at `height`, is this velocity capturable? Host only.
 
@@ -73,6 +75,7 @@ def com_area(
         reach: positions are looked for within this of the contacts' centroid, along the velocity and across [m]; a set that
             goes farther is cut there.
         gravity: (3,) [m/s^2].
+        specific_angular_momentum: (3,) about the CoM, over the mass [m^2/s]; None for zero. See `capturability`.
 
     Returns:
         Where each line has such positions.
@@ -83,6 +86,9 @@ def com_area(
         TypeError: for gravity that is not three numbers.
     """
     checked_gravity(gravity)
+    momentum = None if specific_angular_momentum is None else np.asarray(specific_angular_momentum, float)
+    if momentum is not None and not (momentum.shape == (3,) and np.isfinite(momentum).all()):
+        raise ValueError(f"specific_angular_momentum = {specific_angular_momentum} (expected three finite numbers [m^2/s])")
     com_velocity = np.asarray(com_velocity, float)
     speed = np.linalg.norm(com_velocity)
     if com_velocity.shape != (3,) or not np.isfinite(speed) or speed == 0 or com_velocity[2] != 0:
@@ -100,7 +106,9 @@ def com_area(
         """Speed that could be added or shed at these places [m/s]; minus infinity where none is capturable."""
         coms = starts[:, None] + places[..., None] * along
         flat = coms.reshape(-1, 3)
-        out = score(cone, flat, np.broadcast_to(com_velocity, flat.shape), gravity)
+        momenta = None if momentum is None else np.broadcast_to(momentum, flat.shape)
+        velocities = np.broadcast_to(com_velocity, flat.shape)
+        out = score(cone, flat, velocities, gravity, specific_angular_momentum=momenta)
         low, high = np.asarray(out.min_speed), np.asarray(out.max_speed)
         both_ways = np.minimum(high - speed, np.where(low > 0, speed - low, np.inf))
         return np.where(~np.isnan(high) & (high > 0), both_ways, -np.inf).reshape(places.shape)
@@ -124,7 +132,8 @@ def _sides(
     arm: list[tuple[float | None, float | None]] = [(None, None)] * 3
     if isinstance(cone, CentroidalCone):
         faces = np.asarray(cone.faces, float)
-        limits = {"A_ub": faces[:, 3:] * length @ turn, "b_ub": -faces[:, :3] @ up}
+        box = 0 if cone.offsets is None else np.asarray(cone.offsets, float) / np.linalg.norm(gravity)
+        limits = {"A_ub": faces[:, 3:] * length @ turn, "b_ub": box - faces[:, :3] @ up}
         bounds = arm
     else:
         rays = np.asarray(cone.rays, float).T / np.array([1, 1, 1, length, length, length])[:, None]

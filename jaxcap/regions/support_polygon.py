@@ -98,6 +98,8 @@ def support_polygon(cone: CentroidalCone, gravity: ArrayLike = GRAVITY) -> Suppo
     # The wrench of a robot at rest is (up, arm x up) per unit of weight; arms in sizes of the stance.
     rows = np.cross(up, faces[:, 3:] * length) @ axes.T
     bounds = tolerances(np.float64).slack - faces[:, :3] @ up
+    if cone.offsets is not None:
+        bounds += _double(cone.offsets) / np.linalg.norm(pull)
     sizes = np.linalg.norm(rows, axis=1)
     flat = sizes <= FLAT
     holds = bool((bounds[flat] >= 0).all())

@@ -120,6 +120,8 @@ def velocity_area(
     com: Num[FloatArray, "*batch 3"],
     directions: Num[FloatArray, "n 3"] | None = None,
     gravity: ArrayLike = GRAVITY,
+    *,
+    push_arm: ArrayLike | None = None,
 ) -> VelocityArea:
     """Which velocities of this CoM are capturable? In every direction the smallest and the largest speed.
 
@@ -130,6 +132,9 @@ def velocity_area(
         com: (3,) [m], or (k, 3).
         directions: (n, 3), of any length but zero; `headings()` if not given, `sphere()` for all of space.
         gravity: (3,) [m/s^2].
+        push_arm: (3,) from the CoM to where a push gives the robot its velocity [m]: it gives it angular momentum too, in
+            proportion, push_arm x velocity over the mass. None for a push through the CoM. (With angular momentum that is
+            the same at every speed the capturable speeds need not be one interval: for that, `score` them.)
 
     Returns:
         The speeds in each direction. With k contact sets or CoM positions every field but `directions` has a leading axis of
@@ -154,11 +159,21 @@ def velocity_area(
     states = len(velocities)
     coms = jnp.repeat(jnp.broadcast_to(com, (*batch, 3)).reshape(-1, 3), states, axis=0)
     cone = cone if sets is None else jax.tree.map(lambda leaf: jnp.repeat(leaf, states, axis=0), cone)
-    out = score(cone, coms, jnp.tile(velocities, (len(coms) // states, 1)), gravity)
+    velocities = jnp.tile(velocities, (len(coms) // states, 1))
+    momenta = None if push_arm is None else jnp.cross(_arm(push_arm, velocities), velocities)
+    out = score(cone, coms, velocities, gravity, specific_angular_momentum=momenta)
     field = lambda values: values.reshape(*batch, states)
     return VelocityArea(
         towards, field(out.min_speed)[..., :-1], field(out.max_speed)[..., :-1], field(out.capturable)[..., -1]
     )
+
+
+def _arm(push_arm: ArrayLike, like: Array) -> Float[Array, "3"]:
+    """The arm as an array, or TypeError for another shape."""
+    arm = jnp.asarray(push_arm, like.dtype)
+    if arm.shape != (3,):
+        raise TypeError(f"push_arm has shape {arm.shape} (expected (3,) [m])")
+    return arm
 
 
 def headings(count: int = 360) -> Float[np.ndarray, "{count} 3"]:

@@ -2,8 +2,8 @@
 
 Begin with `models` (a robot by name or file) and `logs` (a log and its robot in, rows to score out), which goes through
 `layouts` (which field is what), `readers` (bytes to fields), `motion` (conventions undone), `checks`, `touch` (contacts) and
-`whole_body` (what is scored of a robot state). `live` is a running simulation, `appearance` is for pictures. May import
-`numerics`, `contacts` and `files`.
+`whole_body` (what is scored of a robot state); `torque_limits` is what its joints can bear there. `live` is a running
+simulation, `appearance` is for pictures. May import `numerics`, `contacts` and `files`.
 """
 
 try:
@@ -40,4 +40,5 @@ from jaxcap.robots.patches import contact_placement as contact_placement
 from jaxcap.robots.patches import patches_yaml as patches_yaml
 from jaxcap.robots.patches import read_patches as read_patches
 from jaxcap.robots.soles import find_patches as find_patches
+from jaxcap.robots.torque_limits import actuation as actuation
 from jaxcap.robots.touch import Touching as Touching

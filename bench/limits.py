@@ -1,0 +1,173 @@
+"""States/s with the robot's limits, each state its own posture, over the point mass and HiGHS; and how far HiGHS agrees.
+
+    python -m bench.limits [--scenarios three four] [--joints arms all] [--dtypes float64 float32] [--states 8192]
+
+The states are TALOS's of the evaluation (reference/tsid/data), repeated up to `--states`. `arms` has the rows of the joints
+of the touching arms only, `all` those of every joint between the base and a contact (legs never bind on TALOS). Every line
+is one run: the limits, the point mass, and, for the first `--check` states, the programs of `reference.robot_limits`, an
+effort and a largest speed each. `effort` and `max_speed` are the largest relative differences among these; states where the
+polygon goes on beyond the static region are left out of the latter, for there the robot swings. Needs the extra evaluation.
+"""
+
+import argparse
+import time
+from pathlib import Path
+from typing import NamedTuple
+
+import jax
+import numpy as np
+
+import jaxcap
+from bench.timing import in_turn, ratio
+from jaxcap.robots import actuation
+from reference import robot_limits as programs
+from reference.evaluation.samples import Samples, read
+from reference.tsid.robot import Robot, load
+
+DATA = Path(__file__).parents[1] / "reference" / "tsid" / "data"
+CORNERS = np.array([[1, 1, 0], [-1, 1, 0], [-1, -1, 0], [1, -1, 0]])
+HOLDING = 1e-7
+"""A polygon that goes on by more beyond the static region [m] lets the robot swing."""
+
+
+class Limited(NamedTuple):
+    """States, each with its own contacts and posture."""
+
+    contacts: jaxcap.ContactSet
+    actuation: jaxcap.Actuation
+    coms: np.ndarray
+    velocities: np.ndarray
+
+    def repeated(self, n: int) -> "Limited":
+        """n of them."""
+        return jax.tree.map(lambda x: x[np.arange(n) % len(x)], self)
+
+    def cast(self, dtype: str) -> "Limited":
+        """In this precision."""
+        return jax.tree.map(lambda x: x if x.dtype == bool else np.asarray(x, dtype), self)
+
+
+def states_of(scenario: str, joints: str = "all", first: int | None = 1000) -> Limited:
+    """The states of a file whose posture it holds. joints: "arms" or "all"."""
+    samples = read(DATA / f"{scenario}.parquet", first)
+    rows = np.flatnonzero(np.isfinite(samples.q).all(axis=1))
+    places, frames = samples.contacts, samples.contacts.rotations[rows]
+    sizes = np.stack([places.half_lengths, places.half_widths, 0 * places.half_widths], axis=-1)[rows]
+    points = places.positions[rows][:, :, None] + np.einsum("nkij,nkcj->nkci", frames, CORNERS * sizes[:, :, None])
+    flat = lambda x: x.reshape(len(rows), -1, *x.shape[3:])
+    friction = np.repeat(places.friction[rows], 4, axis=1)
+    contacts = jaxcap.ContactSet(flat(points), np.repeat(frames, 4, axis=1), friction)
+    posture = _postures(load(samples.robot), samples, rows, contacts, joints)
+    return Limited(contacts, posture, samples.com[rows], samples.com_velocity[rows])
+
+
+def _postures(
+    robot: Robot, samples: Samples, rows: np.ndarray, contacts: jaxcap.ContactSet, joints: str
+) -> jaxcap.Actuation:
+    """Of all rows: what touches may differ from row to row, so those that are alike are made together."""
+    effectors = samples.contacts.effectors[rows]
+    whole: list[np.ndarray] = []
+    for names in np.unique(effectors, axis=0):
+        mine = np.flatnonzero((effectors == names).all(axis=1))
+        frames = [robot.model.frames[robot.effectors[name].frame].name for name in names for _ in range(4)]
+        sets, wanted = jax.tree.map(lambda x, mine=mine: x[mine], contacts), _wanted(robot, joints)
+        found = actuation(robot.model, samples.q[rows[mine]], sets, frames, joints=wanted)
+        parts = found.jacobians, found.gravity_torque, found.limit, found.mask
+        if not whole:
+            whole = [np.zeros((len(rows), *part.shape[1:]), part.dtype) for part in parts]
+        for array, part in zip(whole, parts, strict=True):
+            array[mine] = part
+    return jaxcap.Actuation(*whole)
+
+
+def _wanted(robot: Robot, joints: str) -> list[str]:
+    """Names of joints."""
+    names = list(robot.model.names)[2:]
+    return [name for name in names if "arm" in name] if joints == "arms" else names
+
+
+def line(scenario: str, joints: str, dtype: str, options: argparse.Namespace) -> dict:
+    """One line of the table."""
+    some = states_of(scenario, joints)
+    many = some.repeated(options.states).cast(dtype)
+    rays = jax.tree.map(np.asarray, jaxcap.cone_rays(many.contacts))
+    timed = in_turn(
+        {
+            "limits": lambda: jaxcap.score(
+                rays, many.coms, many.velocities, actuation=many.actuation, momentum_box=options.box
+            ),
+            "point": lambda: jaxcap.score(rays, many.coms, many.velocities),
+        },
+        options.rounds,
+    )
+    ours = timed["limits"]
+    answer = jax.tree.map(np.asarray, ours.answer)
+    return {
+        "scenario": scenario,
+        "joints": f"{joints} ({some.actuation.joints})",
+        "dtype": dtype,
+        "states/s": options.states / ours.best,
+        "compile s": ours.compiling,
+        "point mass x": ratio(ours, timed["point"]),
+        **_checked(some, answer, options, ours.best / options.states),
+        "undecided": int((answer.status == jaxcap.Status.MAX_STEPS).sum()),
+    }
+
+
+def _checked(states: Limited, answer: jaxcap.Capturability, options: argparse.Namespace, each: float) -> dict:
+    """How much longer HiGHS takes, and the largest differences from it."""
+    efforts, speeds, swinging = np.full((3, options.check), np.nan)
+    start = time.perf_counter()
+    rows = [program_of(states, i, options.box) for i in range(options.check)]
+    for i, state in enumerate(rows):
+        efforts[i], speeds[i] = programs.effort(state), programs.max_speed(state)
+    spent = (time.perf_counter() - start) / max(options.check, 1)
+    for i, state in enumerate(rows):
+        s_min, s_max = programs.static_interval(state)
+        speeds[i] = 0.0 if s_min > s_max else speeds[i]
+        swinging[i] = s_min <= s_max < programs.farthest(state, 0.0) - HOLDING
+    off = lambda name, expected: np.abs(getattr(answer, name)[: options.check] / expected - 1)
+    usable = (swinging == 0) & (speeds > 0) & np.isfinite(speeds)
+    finite = np.isfinite(efforts)
+    return {
+        "HiGHS x": spent / each if options.check else np.nan,
+        "effort": np.max(off("effort", efforts)[finite], initial=0),
+        "max_speed": np.max(off("max_speed", np.where(speeds > 0, speeds, 1))[usable], initial=0),
+        "compared": int(usable.sum()),
+    }
+
+
+def program_of(states: Limited, i: int, box: float) -> programs.State:
+    """One state for the reference."""
+    posture, contacts = (jax.tree.map(lambda x: x[i], tree) for tree in (states.actuation, states.contacts))
+    limits = programs.Limits(posture.jacobians, posture.gravity_torque, posture.limit, posture.mask)
+    where = contacts.points, contacts.frames, contacts.friction
+    return programs.state_of(*where, states.coms[i], states.velocities[i], limits, box=box)
+
+
+def main() -> None:
+    """Measures and prints the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--scenarios", nargs="+", default=["three", "four"])
+    parser.add_argument("--joints", nargs="+", default=["arms", "all"], choices=["arms", "all"])
+    parser.add_argument("--dtypes", nargs="+", default=["float64", "float32"])
+    parser.add_argument("--states", type=int, default=8192)
+    parser.add_argument("--check", type=int, default=100, help="states that HiGHS solves too")
+    parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("--box", type=float, default=0.11, help="momentum box per unit mass [m^2/s^2] (10 N m for TALOS)")
+    options = parser.parse_args()
+    jax.config.update("jax_enable_x64", True)
+    first = True
+    for scenario in options.scenarios:
+        for joints in options.joints:
+            for dtype in options.dtypes:
+                found = line(scenario, joints, dtype, options)
+                if first:
+                    print("  ".join(f"{name:>12}" for name in found))
+                    first = False
+                shown = (f"{value:>12.4g}" if isinstance(value, float) else f"{value!s:>12}" for value in found.values())
+                print("  ".join(shown), flush=True)
+
+
+if __name__ == "__main__":
+    main()
