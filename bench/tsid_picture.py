@@ -90,7 +90,7 @@ def region(contacts: tuple[Contact, ...], around: np.ndarray) -> np.ndarray:
     """Vertices (m, 2) of where a CoM can stay on the contacts, by a linear program for each direction; cut off far away."""
     points = np.concatenate([corner_points(contact) for contact in contacts])
     frames = np.repeat([contact.placement.rotation for contact in contacts], 4, axis=0)
-    rays, origin = wrench_rays(points, frames, np.repeat([contact.friction for contact in contacts], 4))
+    rays, origin = wrench_rays(points, frames, np.repeat([contact.friction for contact in contacts], 4))[:2]
     weight = 9.81  # upwards, on a mass of 1
     moment = np.array([[0.0, weight], [-weight, 0.0], [0.0, 0.0]])  # of the weight at (x, y)
     matrix = np.column_stack([rays, np.vstack([np.zeros((3, 2)), -moment])])

@@ -88,7 +88,7 @@ def batch():
 def linear_program(contacts, direction):
     """How far out in a direction (2,) the CoM can be in equilibrium, Bretl and Lall's program, by HiGHS [m]."""
     active = jax.tree.map(lambda x: x[contacts.mask], contacts)
-    rays, origin = wrench_rays(active.points, active.frames, active.friction)
+    rays, origin = wrench_rays(active.points, active.frames, active.friction)[:2]
     # Force and vertical torque balance the weight; the horizontal torque says where the CoM is.
     matrix, weight = rays[[0, 1, 2, 5]], np.array([0, 0, 1.0, 0])
     result = linprog(-(direction @ np.array([-rays[4], rays[3]])), A_eq=matrix, b_eq=weight, method="highs-ds")

@@ -154,7 +154,7 @@ def test_the_posture_is_in_static_equilibrium(robot, drawn):
     for sample in drawn:
         points = np.concatenate([corner_points(contact) for contact in sample.contacts])
         frames = np.repeat([contact.placement.rotation for contact in sample.contacts], 4, axis=0)
-        rays, origin = wrench_rays(points, frames, np.full(len(points), 0.5))
+        rays, origin = wrench_rays(points, frames, np.full(len(points), 0.5))[:2]
         com = pin.centerOfMass(robot.model, robot.model.createData(), sample.q)
         wrench = np.concatenate([[0, 0, 9.81], np.cross(com - origin, [0, 0, 9.81])])
         assert nnls(rays, wrench, maxiter=2000)[1] < 1e-6

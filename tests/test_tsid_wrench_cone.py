@@ -20,7 +20,7 @@ def contact(half_length=0.105, half_width=0.065, friction=0.5, placement=None):
 def corner_rays(half_length, half_width, friction):
     """(6, 16): the pyramids' edges at the corners, as wrenches about the centre."""
     points = corner_points(contact(half_length, half_width, friction))
-    rays, origin = wrench_rays(points, np.repeat(np.eye(3)[None], 4, axis=0), np.full(4, friction))
+    rays, origin = wrench_rays(points, np.repeat(np.eye(3)[None], 4, axis=0), np.full(4, friction))[:2]
     np.testing.assert_allclose(origin, 0.0, atol=1e-15)
     return rays
 

@@ -66,7 +66,7 @@ def equilibrium(contacts: Sequence[Contact], com: np.ndarray, gravity: Sequence[
     points = np.concatenate([corner_points(contact) for contact in contacts])
     frames = np.repeat([contact.placement.rotation for contact in contacts], 4, axis=0)
     friction = np.repeat([contact.friction for contact in contacts], 4)
-    rays, origin = wrench_rays(points, frames, friction)
+    rays, origin = wrench_rays(points, frames, friction)[:2]
     weight = -np.asarray(gravity, dtype=float)  # what the contacts must supply, per unit mass
     target = np.concatenate([weight, np.cross(np.asarray(com) - origin, weight)])
     proved = _proved(rays, target)

@@ -1,0 +1,141 @@
+"""What the robot's limits add to the margin, against the simulated outcomes: `python -m reference.evaluation.limits`.
+
+For each scenario the margins of the point mass, with the state's own angular momentum, with a budget for its rate (the box),
+and with the torque limits of the robot's joints and the effort of holding the posture; falls detected and false alarms at
+zero, and the area under the ROC, in percent with intervals of 95 %. The one number that was chosen is the box, by a
+prototype that saw the first 1,000 rows of each file: these are left out unless `--skip 0`. All postures count, also those
+that cannot be held: that they cannot is what the limits are to say. Needs the extra evaluation.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+from jaxtyping import Float
+
+import jaxcap
+from jaxcap.robots import actuation
+from reference.evaluation.margins import corners
+from reference.evaluation.roc import Interval, area, judged, point, share
+from reference.evaluation.samples import BEST, FOUR, Samples, read
+from reference.tsid.robot import Robot, load
+
+DATA = Path(__file__).parents[1] / "tsid" / "data"
+SCENARIOS = ("two_coplanar", "two", "three", "four")
+BOX = 10.0
+"""What the rate of angular momentum may differ by [N m]."""
+
+
+class Variant(NamedTuple):
+    """A margin, by what it knows of the robot."""
+
+    label: str
+    momentum: bool
+    torques: bool
+    box: float
+    """[N m]"""
+
+
+VARIANTS = (
+    Variant("point mass", False, False, 0.0),
+    Variant("+ angular momentum", True, False, 0.0),
+    Variant("+ angular momentum, box", True, False, BOX),
+    Variant("+ torques", False, True, 0.0),
+    Variant("+ torques, angular momentum", True, True, 0.0),
+    Variant("+ torques, angular momentum, box", True, True, BOX),
+)
+
+
+def margins(samples: Samples, robot: Robot, mass: float, variant: Variant) -> Float[np.ndarray, " n"]:
+    """The margins of all samples [m/s]; NaN where undecided, plus or minus infinity at rest."""
+    points, frames, friction = corners(samples.contacts)
+    contacts = jaxcap.ContactSet(points, frames, friction)
+    limits = postures(samples, robot, contacts) if variant.torques else None
+    found = jaxcap.score(
+        jaxcap.cone_rays(contacts),
+        samples.com,
+        samples.com_velocity,
+        specific_angular_momentum=samples.angular_momentum / mass if variant.momentum else None,
+        actuation=limits,
+        momentum_box=variant.box / mass,
+    )
+    found = jax.tree.map(np.asarray, found)
+    at_rest = found.status == jaxcap.Status.NO_DIRECTION
+    return np.where(at_rest, np.where(found.capturable, np.inf, -np.inf), found.margin)
+
+
+def postures(samples: Samples, robot: Robot, contacts: jaxcap.ContactSet) -> jaxcap.Actuation:
+    """What the joints can bear: of the arms that touch, or, where none does, of the legs.
+
+    On TALOS legs never bind, and the rows of the arms alone give the same verdicts in a third of the time.
+    """
+    effectors = samples.contacts.effectors
+    names = list(robot.model.names)[2:]
+    arms = [name for name in names if "arm" in name]
+    hands = any("hand" in str(name) for name in effectors[0])
+    frame_of = lambda effector: robot.model.frames[robot.effectors[effector].frame].name
+    whole: list[np.ndarray] = []
+    for row in np.unique(effectors, axis=0):
+        mine = np.flatnonzero((effectors == row).all(axis=1))
+        touching = [frame_of(effector) for effector in row for _ in range(4)]
+        sets = jax.tree.map(lambda x, mine=mine: x[mine], contacts)
+        found = actuation(robot.model, samples.q[mine], sets, touching, joints=arms if hands else names)
+        parts = found.jacobians, found.gravity_torque, found.limit, found.mask
+        whole = whole or [np.zeros((len(effectors), *part.shape[1:]), part.dtype) for part in parts]
+        for array, part in zip(whole, parts, strict=True):
+            array[mine] = part
+    return jaxcap.Actuation(*whole)
+
+
+def _from(samples: Samples, index: int) -> Samples:
+    """The samples from this number on, without what single controllers did."""
+    keep = samples.index >= index
+    arrays: dict[str, Any] = {name: x[keep] for name, x in samples._asdict().items() if isinstance(x, np.ndarray)}
+    contacts = samples.contacts._make(field[keep] for field in samples.contacts)
+    outcomes = {name: words[keep] for name, words in samples.outcomes.items()}
+    return samples._replace(**arrays, contacts=contacts, outcomes=outcomes, runs={})
+
+
+def line(samples: Samples, values: Float[np.ndarray, " n"], truth: str) -> list[str]:
+    """Cells of the table: detection, false alarms, area."""
+    known = ~np.isnan(values)
+    used, fell = judged(samples.outcomes[truth], among=known)
+    cells = point(values[used], fell)
+    shares = share(cells.detected, cells.detected + cells.missed), share(cells.false, int((~fell).sum()))
+    return [*map(_percent, shares), _percent(area(values[used], fell)), str(int((~known).sum()))]
+
+
+def _percent(figure: Interval) -> str:
+    return f"{100 * figure.value:.1f} ({100 * figure.low:.1f} to {100 * figure.high:.1f})"
+
+
+def main() -> None:
+    """Scores and prints the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--scenarios", nargs="+", default=SCENARIOS, metavar="NAME")
+    parser.add_argument("--skip", type=int, default=1000, metavar="N", help="rows left out (default: 1000)")
+    parser.add_argument("--first", type=int, metavar="N", help="rows of each file that are read (default: all)")
+    parser.add_argument("--truth", choices=[BEST, FOUR], default=FOUR, help="(default: %(default)s)")
+    options = parser.parse_args()
+    jax.config.update("jax_enable_x64", True)
+    print("| scenario | margin | falls detected | false alarms | area under the ROC | undecided |")
+    print("| --- | --- | --- | --- | --- | --- |", flush=True)
+    for scenario in options.scenarios:
+        samples = _from(read(DATA / f"{scenario}.parquet", options.first), options.skip)
+        robot = load(samples.robot)
+        mass = sum(inertia.mass for inertia in robot.model.inertias)
+        for variant in VARIANTS:
+            start = time.monotonic()
+            values = margins(samples, robot, mass, variant)
+            print(f"| {scenario} | {variant.label} | " + " | ".join(line(samples, values, options.truth)) + " |", flush=True)
+            print(f"{scenario}, {variant.label}: {time.monotonic() - start:.0f} s", file=sys.stderr, flush=True)
+
+
+if __name__ == "__main__":
+    main()
