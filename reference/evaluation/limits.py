@@ -97,7 +97,7 @@ def _from(samples: Samples, index: int) -> Samples:
     """The samples from this number on, without what single controllers did."""
     keep = samples.index >= index
     arrays: dict[str, Any] = {name: x[keep] for name, x in samples._asdict().items() if isinstance(x, np.ndarray)}
-    contacts = samples.contacts._make(field[keep] for field in samples.contacts)
+    contacts: Any = type(samples.contacts)(*(field[keep] for field in samples.contacts))
     outcomes = {name: words[keep] for name, words in samples.outcomes.items()}
     return samples._replace(**arrays, contacts=contacts, outcomes=outcomes, runs={})
 
