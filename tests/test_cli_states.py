@@ -160,7 +160,8 @@ def test_score_does_both_steps_at_once(log, tmp_path, capsys):
     states, one, two = (tmp_path / f"{name}.parquet" for name in ("states", "one", "two"))
     assert main(["states", str(log), "--robot", "g1", "-o", str(states)]) == 0
     assert main(["score", str(states), "-o", str(one), "--dtype", "float64"]) == 0
-    assert main(["score", str(log), "--robot", "g1", "-o", str(two), "--dtype", "float64"]) == 0
+    assert main(["score", str(log), "--robot", "g1", "-o", str(two), "--dtype", "float64", "--point-mass"]) == 0
+    assert "is a point mass" in capsys.readouterr().err
     first, second = columns(one), columns(two)
     assert set(first) == set(second)
     for name in first:

@@ -3,6 +3,7 @@
 import sys
 import time
 from collections.abc import Callable
+from contextlib import nullcontext
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
@@ -13,6 +14,7 @@ import tyro
 from tqdm import tqdm
 
 from jaxcap.commands.compile_cache import compilation_cache
+from jaxcap.commands.robot_limits import TorqueLimits, counted
 from jaxcap.commands.scorers import Scorer, scorer_of
 from jaxcap.commands.states import LogOptions, said_of_log, states_of_log
 from jaxcap.commands.summary import Summary
@@ -49,6 +51,7 @@ def score(
     baselines: bool = False,
     height: Annotated[float | None, tyro.conf.arg(metavar="H")] = None,
     mass: Annotated[float | None, tyro.conf.arg(metavar="M")] = None,
+    point_mass: bool = False,
     cache: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
     strict: bool = False,
     force: bool = False,
@@ -61,7 +64,8 @@ def score(
         states: File of states, .parquet, .npz or .csv.
         output: File to write, .parquet or .npz.
         contacts: File of contacts, .yaml or .json; not needed if STATES has them.
-        robot: STATES is the log of this robot: its name, or URDF or MJCF file. See jaxcap states --help.
+        robot: STATES is the log of this robot: its name, or URDF or MJCF file. See jaxcap states --help. Its torque limits
+            and its angular momentum count.
         log: How it is read.
         dtype: Precision of the computation and of the figures written.
         sides: Edges of the pyramid that replaces each friction cone, at least 3.
@@ -69,7 +73,8 @@ def score(
         neighbours: Rows that follow each other are similar states: saves work where each has its own contacts.
         baselines: Also write how far the capture point lies inside support polygon and hull of the contacts.
         height: CoM height for the capture point [m]; by default that above the contacts of each row.
-        mass: Of the robot [kg]: the column angular_momentum counts then.
+        mass: Of the robot [kg]: the column angular_momentum counts then. With --robot the robot's by default.
+        point_mass: With --robot, neither its torque limits nor its angular momentum count: the paper's model.
         cache: Keep compiled programs in this directory.
         strict: What is hardly plausible is an error, not a note.
         force: Overwrite OUT if it exists.
@@ -79,24 +84,28 @@ def score(
     sets = read_contact_sets(contacts) if contacts else None
     with (
         jax.enable_x64(dtype == "float64"),
-        states_of_log(states, robot, log, output, strict) as file,
-        read_states(file, batch_size, np.float64, mass) as source,
+        states_of_log(states, robot, log, output, strict) as (file, whose),
+        nullcontext(counted(whose, point_mass, mass)) as known,
+        read_states(file, rows := known.rows(batch_size), np.float64, known.mass) as source,
         compilation_cache(cache),
     ):
+        if known.words:
+            print(f"note: {states}: {known.words}", file=sys.stderr)
         for name in source.skipped:
             print(f"note: {states}: {name!r} is not carried through: not one value for each state", file=sys.stderr)
-        if not source.momentum and {MOMENTUM, f"{MOMENTUM}_x"} & set(source.types):
+        if whose is None and not source.momentum and {MOMENTUM, f"{MOMENTUM}_x"} & set(source.types):
             print(f"note: {states}: column {MOMENTUM!r} does not count without --mass", file=sys.stderr)
         described = _contacts(states, source.contacts, contacts, sets)
-        size = min(batch_size, source.rows)
+        size = min(rows, source.rows)
         fields = dict(FIELDS)
-        more: dict[str, Any] = {} if mass is None else {"mass": mass}
+        more: dict[str, Any] = {} if known.mass is None else {"mass": known.mass}
+        more |= {"counted": known.words} if known.words else {}
         if baselines:
             refuse_clashes(states, source.types, BASELINES)
             fields = FIELDS | BASELINES
             more["capture_point_height"] = ABOVE_CONTACTS if height is None else height
         scorer = scorer_of(described, contacts, size, sides, neighbours)
-        answer = partial(_answered, scorer, baselines=baselines, height=height)
+        answer = partial(_answered, scorer, limits=known.limits, baselines=baselines, height=height)
         metadata = describe(described, GRAVITY, sides, np.dtype(dtype), fields, source.momentum, **more)
         run = _Run(answer, scorer, strict)
         options: dict[str, Any] = {"fields": fields, "about": source.about, "force": force}
@@ -153,11 +162,14 @@ class _Answered(NamedTuple):
     """Time it took [s]."""
 
 
-def _answered(scorer: Scorer, batch: StateBatch, baselines: bool, height: float | None) -> _Answered:
+def _answered(
+    scorer: Scorer, batch: StateBatch, limits: TorqueLimits | None, baselines: bool, height: float | None
+) -> _Answered:
     """Scores a batch."""
     start = time.perf_counter()
     rows = batch.contacts, batch.coms, batch.com_velocities
-    scores, bad = scorer.score(*rows, batch.specific_angular_momenta)
+    actuation = None if limits is None else limits.of(batch)
+    scores, bad = scorer.score(*rows, batch.specific_angular_momenta, actuation)
     beside = (scorer.baselines(*rows, height),) if baselines else ()
     return _Answered(scores, beside, bad, time.perf_counter() - start)
 

@@ -95,10 +95,18 @@ TABLE
   At the end: counts of cases and statuses, quantiles of the margin (to within
   0.025 %), states per second.
 
+ROBOT
+  With --robot the torque limits of the joints that carry a contact count, in
+  the posture of each row, and so does the log's angular momentum, over the
+  robot's mass. Where the model has no effort limit for one of these joints,
+  the momentum counts alone. A line on stderr says which, and so do the
+  metadata (counted). With --point-mass neither counts.
+
 COMPILING
-  Takes seconds, once a run. With --cache DIR the programs are kept in DIR,
-  which is made if need be, and the next run takes them from there. They are
-  code: use no DIR that is written to by anyone whom you do not trust.
+  Takes seconds, once a run; with torque limits, a minute. With --cache DIR the
+  programs are kept in DIR, which is made if need be, and the next run takes
+  them from there. They are code: use no DIR that is written to by anyone whom
+  you do not trust.
 
 EXIT CODES
   0 done; 2 bad input, and one line says which; 130 interrupted.

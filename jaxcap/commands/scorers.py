@@ -16,6 +16,7 @@ from jaxtyping import Float, Int
 
 import jaxcap
 from jaxcap.batch.blocks import BLOCK
+from jaxcap.contacts.actuation import Actuation
 from jaxcap.contacts.cone import CentroidalCone, ConeRays, centred, cone_rays
 from jaxcap.contacts.contact_set import ContactSet
 from jaxcap.contacts.conventions import GRAVITY, ArrayLike
@@ -90,6 +91,7 @@ class Scorer(ABC):
         coms: Float[np.ndarray, "n 3"],
         com_velocities: Float[np.ndarray, "n 3"],
         momenta: Float[np.ndarray, "n 3"] | None = None,
+        actuation: Actuation | None = None,
     ) -> Scored:
         """Scores a batch.
 
@@ -98,13 +100,15 @@ class Scorer(ABC):
             coms: (n, 3) [m]. Their dtype decides the precision.
             com_velocities: (n, 3) [m/s].
             momenta: (n, 3) about the CoM, over the mass [m^2/s]; None for zero.
+            actuation: What joints can bear in each row, for `OwnContacts`; None: anything.
 
         Returns:
             The answers, and the rows whose contacts cannot be used.
         """
         parts, bad, coms = self._cut(contacts, coms)
-        spinning = lambda part: None if momenta is None else momenta[part.rows]
-        outs = [self._score(part, coms[part.rows], com_velocities[part.rows], spinning(part)) for part in parts]
+        of_rows = lambda rows, tree: jax.tree.map(lambda field: field[rows], tree)
+        given = coms, com_velocities, momenta, actuation
+        outs = [self._score(part, *of_rows(part.rows, given)) for part in parts]
         return Scored(_in_order(parts, outs), bad)
 
     def baselines(
@@ -141,11 +145,15 @@ class Scorer(ABC):
         coms: Float[np.ndarray, "k 3"],
         com_velocities: Float[np.ndarray, "k 3"],
         momenta: Float[np.ndarray, "k 3"] | None,
+        actuation: Actuation | None,
     ) -> Capturability:
         own = isinstance(part.cone, ConeRays)
         cone = self._filled(part.cone) if own else part.cone
         states, velocities, spinning = (self._filled(vectors) for vectors in (coms, com_velocities, momenta))
-        options = {"neighbours": own and self._neighbours, "specific_angular_momentum": spinning}
+        options: dict[str, Any] = {"neighbours": own and self._neighbours, "specific_angular_momentum": spinning}
+        if actuation is not None:  # whose programs have no use for neighbours
+            wide = actuation.padded(part.contacts.mask.shape[-1], actuation.joints)
+            options |= {"neighbours": False, "actuation": self._filled(wide)}
         return _first(len(coms), jaxcap.score(cone, states, velocities, gravity=self._gravity, **options))
 
     def _baselines(

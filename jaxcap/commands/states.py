@@ -9,7 +9,7 @@ import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 import tyro
@@ -179,8 +179,17 @@ def load_robot(name: str, extra: str, feet: Path | None = None) -> "Robot":
     return load(name, feet)
 
 
+class StatesOfLog(NamedTuple):
+    """What is scored."""
+
+    file: Path
+    """Of states."""
+    robot: "Robot | None" = None
+    """Whose log they are from."""
+
+
 @contextmanager
-def states_of_log(log: Path, robot: str | None, options: LogOptions, output: Path, strict: bool) -> Iterator[Path]:
+def states_of_log(log: Path, robot: str | None, options: LogOptions, output: Path, strict: bool) -> Iterator[StatesOfLog]:
     """The states of a log in a file that is gone when the block ends; without a robot the log is such a file itself.
 
     Args:
@@ -196,7 +205,7 @@ def states_of_log(log: Path, robot: str | None, options: LogOptions, output: Pat
                 field.name for field in dataclasses.fields(options) if getattr(options, field.name) != field.default
             )
             raise InputError(f"--{given} says how a log is read (expected with --robot)")
-        yield log
+        yield StatesOfLog(log)
         return
     opened = open_log(log, robot, options, strict)
     with tempfile.TemporaryDirectory(dir=output.resolve().parent, prefix=".jaxcap-") as folder:
@@ -204,7 +213,7 @@ def states_of_log(log: Path, robot: str | None, options: LogOptions, output: Pat
         write_states(opened, file, force=False)
         for note in opened.notes:
             print(f"note: {note}", file=sys.stderr)
-        yield file
+        yield StatesOfLog(file, opened.robot)
 
 
 def said_of_log(about: Mapping[bytes, bytes]) -> dict[str, Any]:
