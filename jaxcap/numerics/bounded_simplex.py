@@ -220,9 +220,31 @@ def largest(values: Float[Array, "k *n"]) -> tuple[Float[Array, "*n"], Bool[Arra
 
 
 def inverse_of(program: Program, basis: Basis) -> Basis:
-    """The basis with its inverse computed anew."""
-    matrix = jnp.moveaxis(columns(program, basis.chosen), (0, 1), (-2, -1))
-    return basis._replace(inverse=jnp.moveaxis(jnp.linalg.inv(matrix), (-2, -1), (0, 1)))
+    """The basis with its inverse computed anew, by Gauss-Jordan elimination with the largest pivot of each column.
+
+    Not by LAPACK, as `jnp.linalg` has it: its kernel shares the threads of the program that calls it, and two programs side
+    by side that all wait for a thread wait for ever (jaxlib 0.10, on two cores).
+    """
+    matrix = columns(program, basis.chosen)
+    m, lanes = len(matrix), matrix.shape[2:]
+    eye = jnp.eye(m, dtype=matrix.dtype).reshape(m, m, *[1] * len(lanes))
+
+    def one(k: Int[Array, ""], state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+        left, found, turn = state
+        column = jax.lax.dynamic_index_in_dim(left, k, 1, keepdims=False)
+        _, here = largest(jnp.where(turn < m, -1, jnp.abs(column)))  # of the rows that have not had their turn
+        element = jnp.sum(jnp.where(here, column, 0), axis=0)
+        factor = stored(jnp.where(here, 0, column))
+
+        def eliminated(rows: Array) -> Array:
+            row = stored(jnp.sum(jnp.where(here[:, None], rows, 0), axis=0) / jnp.where(element != 0, element, 1))
+            return jnp.where(here[:, None], row, rows - factor[:, None] * row)
+
+        return eliminated(left), eliminated(found), jnp.where(here, k, turn)
+
+    start = matrix, jnp.broadcast_to(eye, matrix.shape), jnp.full((m, *lanes), m)
+    _, found, turn = jax.lax.fori_loop(0, m, one, start)
+    return basis._replace(inverse=jnp.take_along_axis(found, jnp.argsort(turn, axis=0)[:, None], axis=0))
 
 
 def improved(program: Program, basis: Basis) -> tuple[Basis, Float[Array, "*n"]]:
