@@ -11,8 +11,10 @@ from samplers import join, rectangle, rotation
 import jaxcap
 from jaxcap import Actuation, Status
 from jaxcap.contacts.actuation import actuated
+from jaxcap.contacts.conventions import GRAVITY
 from jaxcap.numerics.guarded import direction
 from jaxcap.one_state.actuated_polygon import actuated_polygon
+from jaxcap.one_state.line import motion_of_lanes
 from reference import robot_limits as reference
 
 pytestmark = pytest.mark.usefixtures("x64")
@@ -330,3 +332,12 @@ def test_actuation_of_other_contacts_or_postures_is_named(sample):
     cone = jaxcap.centroidal_cone(jax.tree.map(lambda x: x[0], sample.contacts))
     with pytest.raises(TypeError, match="rays"):
         call(cone, actuation=posture)
+
+
+def test_no_program_waits_for_the_threads_that_run_it(sample):
+    """LAPACK's kernels do, and two programs side by side then wait for ever: `bounded_simplex.inverse_of`."""
+    limited = actuated(jaxcap.cone_rays(sample.contacts), sample.actuation, sample.box, STATES)
+    lanes = jax.tree.map(lambda x: jnp.moveaxis(jnp.asarray(x), 0, -1), (limited, sample.coms, sample.velocities))
+    program = jax.jit(lambda *state: motion_of_lanes(*state, GRAVITY)).lower(*lanes).as_text()
+    assert "stablehlo.while" in program
+    assert "custom_call" not in program.replace("custom_call @Sharding", "")
