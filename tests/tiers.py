@@ -91,6 +91,10 @@ QUICK: dict[str, tuple[str, ...]] = {
         "test_a_row_is_bad_if_and_only_if_it_makes_no_contact_set",
     ),
     "test_devices.py": (),
+    "test_edges.py": (
+        "test_no_force_that_no_contact_gives_stops_a_robot[float64-faces",
+        "test_slack_changes_verdicts_within_its_distance_only[float64-faces",
+    ),
     "test_evaluation_roc.py": ("",),
     "test_export.py": ("test_what_cannot_be_exported",),
     "test_gradients.py": ("test_gradient_of_the_margin_is_never_nan[float64",),

@@ -50,7 +50,11 @@ def decided(cone: ConeRays, states: States, gravity: ArrayLike, found: Capturabi
             state = _state(cone, states, int(row))
             if state is None:
                 continue
-            for field, value in zip(fields, _compiled(*state[:3], gravity, state.specific_angular_momentum), strict=True):
+            for field, value in zip(
+                fields,
+                _compiled(*state[:3], gravity, specific_angular_momentum=state.specific_angular_momentum),
+                strict=True,
+            ):
                 field[row] = value
     return Capturability(*map(jax.numpy.asarray, fields))
 
