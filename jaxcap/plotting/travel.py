@@ -107,7 +107,7 @@ def travel(cone: CentroidalCone, com: ArrayLike, com_velocity: ArrayLike, gravit
     faces, pull = cone.padded(round_up(max(len(cone.faces), 1), ROWS)), np.asarray(gravity)
     out = capturability(faces, where, velocity, pull)
     found = _computed(faces, where, velocity, jnp.asarray(pull), out.case)
-    rows, survey, way, end, along, speed = jax.device_get(found)
+    (normals, bounds), survey, way, end, along, speed = jax.device_get(found)
     known = bool(survey.feasible) and Case(int(out.case)) != Case.UNDECIDED
     static = (float(survey.s_min), float(survey.s_max)) if survey.standing else None
     walk = Walk(*(field.astype(float) for field in way)) if known else None
@@ -118,8 +118,8 @@ def travel(cone: CentroidalCone, com: ArrayLike, com_velocity: ArrayLike, gravit
         along=along.astype(float),
         speed=float(speed),
         out=out,
-        normals=np.stack([rows.on_alpha, rows.on_acceleration], axis=1).astype(float),
-        bounds=rows.bound.astype(float),
+        normals=normals.astype(float),
+        bounds=bounds.astype(float),
         static=static,
         walk=walk,
         window=(float(landmarks.min() - margin), float(landmarks.max() + margin)),
@@ -143,7 +143,8 @@ def _computed(
     ahead = survey.standing & survey.feasible & (survey.s_min > 0) & survey.pulled_back
     upper = rows.flipped().boundary(jnp.where(ahead, survey.s_min, 0))
     walk = _walk(lower, upper, jnp.where(ahead, survey.s_min, 0), speed * speed / 2, case)
-    return rows, survey, walk, lower.end, along, speed
+    normals = jnp.stack([rows.on_alpha, rows.on_acceleration], axis=1)
+    return (normals, rows.bound), survey, walk, lower.end, along, speed
 
 
 def _walk(
