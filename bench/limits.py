@@ -12,83 +12,26 @@ polygon goes on beyond the static region are left out of the latter, for there t
 import argparse
 import time
 from pathlib import Path
-from typing import NamedTuple
 
 import jax
 import numpy as np
 
 import jaxcap
+from bench.limited import Limited, limited
 from bench.timing import in_turn, ratio
-from jaxcap.robots import actuation
 from reference import robot_limits as programs
-from reference.evaluation.samples import Samples, read
-from reference.tsid.robot import Robot, load
+from reference.evaluation.samples import read
 
 DATA = Path(__file__).parents[1] / "reference" / "tsid" / "data"
-CORNERS = np.array([[1, 1, 0], [-1, 1, 0], [-1, -1, 0], [1, -1, 0]])
+FIRST = 1000
+"""Rows of a file that are read."""
 HOLDING = 1e-7
 """A polygon that goes on by more beyond the static region [m] lets the robot swing."""
 
 
-class Limited(NamedTuple):
-    """States, each with its own contacts and posture."""
-
-    contacts: jaxcap.ContactSet
-    actuation: jaxcap.Actuation
-    coms: np.ndarray
-    velocities: np.ndarray
-
-    def repeated(self, n: int) -> "Limited":
-        """n of them."""
-        return jax.tree.map(lambda x: x[np.arange(n) % len(x)], self)
-
-    def cast(self, dtype: str) -> "Limited":
-        """In this precision."""
-        return jax.tree.map(lambda x: x if x.dtype == bool else np.asarray(x, dtype), self)
-
-
-def states_of(scenario: str, joints: str = "all", first: int | None = 1000) -> Limited:
-    """The states of a file whose posture it holds. joints: "arms" or "all"."""
-    samples = read(DATA / f"{scenario}.parquet", first)
-    rows = np.flatnonzero(np.isfinite(samples.q).all(axis=1))
-    places, frames = samples.contacts, samples.contacts.rotations[rows]
-    sizes = np.stack([places.half_lengths, places.half_widths, 0 * places.half_widths], axis=-1)[rows]
-    points = places.positions[rows][:, :, None] + np.einsum("nkij,nkcj->nkci", frames, CORNERS * sizes[:, :, None])
-    flat = lambda x: x.reshape(len(rows), -1, *x.shape[3:])
-    friction = np.repeat(places.friction[rows], 4, axis=1)
-    contacts = jaxcap.ContactSet(flat(points), np.repeat(frames, 4, axis=1), friction)
-    posture = _postures(load(samples.robot), samples, rows, contacts, joints)
-    return Limited(contacts, posture, samples.com[rows], samples.com_velocity[rows])
-
-
-def _postures(
-    robot: Robot, samples: Samples, rows: np.ndarray, contacts: jaxcap.ContactSet, joints: str
-) -> jaxcap.Actuation:
-    """Of all rows: what touches may differ from row to row, so those that are alike are made together."""
-    effectors = samples.contacts.effectors[rows]
-    whole: list[np.ndarray] = []
-    for names in np.unique(effectors, axis=0):
-        mine = np.flatnonzero((effectors == names).all(axis=1))
-        frames = [robot.model.frames[robot.effectors[name].frame].name for name in names for _ in range(4)]
-        sets, wanted = jax.tree.map(lambda x, mine=mine: x[mine], contacts), _wanted(robot, joints)
-        found = actuation(robot.model, samples.q[rows[mine]], sets, frames, joints=wanted)
-        parts = found.jacobians, found.gravity_torque, found.limit, found.mask
-        if not whole:
-            whole = [np.zeros((len(rows), *part.shape[1:]), part.dtype) for part in parts]
-        for array, part in zip(whole, parts, strict=True):
-            array[mine] = part
-    return jaxcap.Actuation(*whole)
-
-
-def _wanted(robot: Robot, joints: str) -> list[str]:
-    """Names of joints."""
-    names = list(robot.model.names)[2:]
-    return [name for name in names if "arm" in name] if joints == "arms" else names
-
-
 def line(scenario: str, joints: str, dtype: str, options: argparse.Namespace) -> dict:
     """One line of the table."""
-    some = states_of(scenario, joints)
+    some = limited(read(DATA / f"{scenario}.parquet", FIRST), joints)
     many = some.repeated(options.states).cast(dtype)
     rays = jax.tree.map(np.asarray, jaxcap.cone_rays(many.contacts))
     timed = in_turn(

@@ -17,7 +17,7 @@ import jaxcap
 from jaxcap import Case, Status
 from jaxcap.errors import InputError, MissingExtra
 from jaxcap.files.contact_files import read_contacts
-from jaxcap.files.fields import FIELDS
+from jaxcap.files.fields import MAPPED
 from jaxcap.maps import blocks as map_blocks
 from jaxcap.maps import kernel, kernel_map, write_map
 from jaxcap.maps.grid import AXES, grid_of
@@ -26,7 +26,7 @@ from jaxcap.one_state.decision import LIMITS, WALKED
 FOOT = jaxcap.rectangle([0, 0.1, 0], np.eye(3), 0.1, 0.05, 0.5)
 FEET = FOOT + jaxcap.rectangle([0.2, -0.15, 0.1], np.eye(3), 0.1, 0.05, 0.5)
 CONE = jaxcap.centroidal_cone(FEET)
-EVERY, VERDICT = tuple(FIELDS), ("capturable", "margin", "case")
+EVERY, VERDICT = tuple(MAPPED), ("capturable", "margin", "case")
 AXIS_ALIGNED = "0:360deg:4"
 POINTS = {
     "com_x": "-0.1:0.25:4",
@@ -283,6 +283,7 @@ def test_axes_that_cannot_be_used(axes, message):
     "options, message",
     [
         ({"quantities": ["height"]}, "quantity 'height' is not known"),
+        ({"quantities": ["effort"]}, "quantity 'effort' is not known"),
         ({"quantities": ["max_speed", "max_speed"]}, "'max_speed' is given twice"),
         ({"quantities": []}, "quantities: none"),
         ({"quantities": "margin"}, "quantity 'margin' needs a speed"),

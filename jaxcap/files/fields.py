@@ -92,6 +92,8 @@ FIELDS = {
     ),
 }
 """The columns that are added to each row: the fields of `Capturability`, in that order."""
+MAPPED = {name: field for name, field in FIELDS.items() if name != "effort"}
+"""What a map can hold: its robots have no posture, and no effort."""
 BASELINES = {
     "capture_point_support": Field(
         "m",

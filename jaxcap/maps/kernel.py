@@ -21,7 +21,7 @@ from jaxcap.contacts.cone import CentroidalCone, ConeRays, centroidal_cone
 from jaxcap.contacts.contact_set import ContactSet
 from jaxcap.contacts.conventions import GRAVITY, ArrayLike
 from jaxcap.errors import InputError, needs_extra
-from jaxcap.files.fields import FIELDS, output_types
+from jaxcap.files.fields import MAPPED, output_types
 from jaxcap.files.plausibility import Plausibility, Stand
 from jaxcap.files.whole_file import check_output, whole_file
 from jaxcap.maps.blocks import Answers, regions
@@ -190,8 +190,8 @@ def _checked(
     if not quantities:
         raise InputError("quantities: none (expected at least one)")
     for name in quantities:
-        if name not in FIELDS:
-            raise InputError(f"quantity {name!r} is not known (expected {', '.join(FIELDS)})")
+        if name not in MAPPED:
+            raise InputError(f"quantity {name!r} is not known (expected {', '.join(MAPPED)})")
         if quantities.count(name) > 1:
             raise InputError(f"quantity {name!r} is given twice")
         if name not in LIMITS and not points.has_speed:

@@ -41,7 +41,7 @@ WORN = 0.1
 """Largest error of an inverse that a Newton step may mend: it squares the error."""
 
 
-_SPOILT = {64: 1e-6, 32: 1e-2}
+SPOILT = {64: 1e-6, 32: 1e-2}
 """Largest error of an inverse at the end of a search that a Newton step may mend, by the bits of a number."""
 
 
@@ -162,10 +162,11 @@ def first_of(values: Float[Array, "k *n"], least: Float[Array, "*n"]) -> Int[Arr
     return jnp.min(jnp.where(values >= least, places, len(values)), axis=0)
 
 
-def largest(values: Float[Array, "6 *n"]) -> tuple[Float[Array, "*n"], Bool[Array, "6 *n"]]:
-    """The largest of six, and its place: the first of several."""
-    place = jnp.argmax(values, axis=0)
-    return jnp.max(values, axis=0), place == jnp.arange(6).reshape(6, *[1] * place.ndim)
+def largest(values: Float[Array, "m *n"]) -> tuple[Float[Array, "*n"], Bool[Array, "m *n"]]:
+    """The largest along the first axis, and its place: the first of several."""
+    most = jnp.max(values, axis=0)
+    places = jnp.arange(len(values), dtype=jnp.int32).reshape(-1, *[1] * (values.ndim - 1))
+    return most, places == first_of(values, most)
 
 
 def freed(program: Program, basis: Basis) -> Basis:
@@ -280,7 +281,7 @@ def _checked(program: Program, state: SimplexState) -> SimplexState:
     """
     solution, late = state.solution, state.steps >= MAX_PIVOTS
     better, error = _newton(program, solution.basis)
-    worn = (error > _SPOILT[jnp.finfo(error.dtype).bits]) & (solution.outcome != Outcome.UNDECIDED) & ~late
+    worn = (error > SPOILT[jnp.finfo(error.dtype).bits]) & (solution.outcome != Outcome.UNDECIDED) & ~late
     endless = (solution.outcome == Outcome.UNBOUNDED) & ~state.again
     lost = state.running & ~state.again
 
@@ -396,18 +397,26 @@ def _leaving(
     above = jnp.where(missing, jnp.abs(held.weights), jnp.where(is_unit, 0, jnp.maximum(held.weights, 0)))
     bland = 1 / (2.0 + jnp.abs(basis.chosen)).astype(size.dtype)
     preferred = jnp.where(late, bland, size)
-    large = falls & (size > tolerances(size.dtype).pivot)
-    falls = falls & (size > SMALLEST[jnp.finfo(size.dtype).bits])
-    step = jnp.min(jnp.where(large, (above + zero) / jnp.where(large, size, 1), jnp.inf), axis=0)
-    pushed = jnp.any(falls & ~large & (above + zero < step * size), axis=0)
-    falls = jnp.where(pushed, falls, large)
+    falls = not_too_small(falls, above, size, zero)
     return leaving_of(falls, above, size, zero, preferred)
 
 
+def not_too_small(falls: Bool[Array, "m *n"], above: Array, size: Array, spare: Array) -> Bool[Array, "m *n"]:
+    """Columns that may leave, arguments as `leaving_of` has them: such as give a pivot that is large enough.
+
+    A small one only where there is no other, or where to leave it out would push its column far beyond zero: what that one
+    pivot does another mends, for ever.
+    """
+    large, falls = falls & (size > tolerances(size.dtype).pivot), falls & (size > SMALLEST[jnp.finfo(size.dtype).bits])
+    step = jnp.min(jnp.where(large, (above + spare) / jnp.where(large, size, 1), jnp.inf), axis=0)
+    pushed = jnp.any(falls & ~large & (above + spare < step * size), axis=0)
+    return jnp.where(pushed, falls, large)
+
+
 def leaving_of(
-    falls: Bool[Array, "6 *n"], above: Array, size: Array, spare: Array | float, preferred: Array
-) -> tuple[Bool[Array, "6 *n"], Bool[Array, "*n"]]:
-    """The ratio test: which of six columns has to leave, and whether there is one.
+    falls: Bool[Array, "m *n"], above: Array, size: Array, spare: Array | float, preferred: Array
+) -> tuple[Bool[Array, "m *n"], Bool[Array, "*n"]]:
+    """The ratio test: which of the basis's columns has to leave, and whether there is one.
 
     falls: columns that come nearer to zero as the new one comes in. above: how far they are from it. size: how fast they
     fall. spare: how far below zero a weight may come so that a larger pivot can be taken (Harris). preferred: of columns

@@ -17,11 +17,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxcap.contacts.actuation import ActuatedRays, torque_columns
-from jaxcap.numerics import bounded_simplex as simplex
-from jaxcap.numerics.bounded_simplex import Basis, Entering, Program
+from jaxcap.contacts.actuation import ActuatedRays
+from jaxcap.numerics import bounded_basis, bounded_simplex
+from jaxcap.numerics.bounded_basis import Basis, Program
 from jaxcap.numerics.guarded import ratio, snapped, tolerances, without_noise
-from jaxcap.numerics.simplex import FREE, UNIT, Outcome, first_of
+from jaxcap.numerics.simplex import FREE, UNIT, Outcome, largest, mixture
+from jaxcap.one_state.actuated_rows import Rows
+from jaxcap.one_state.basis_line import Carrying, first_met, line_of, one_place
 from jaxcap.one_state.boundary import Boundary, End
 from jaxcap.one_state.polygon import Survey
 from jaxcap.one_state.walk import Affine, Next, moved, walk
@@ -31,8 +33,6 @@ DEEPEST = 1e3
 """A deceleration beyond this [m/s^2] is one without bound: near a line down into the ground, rounding alone bounds it."""
 APEX = {64: 1e3, 32: 1e2}
 """By how much more than elsewhere ties are broken in the program of the effort, whose target is zero: without, it cycles."""
-LEAST_LIMIT = 1e-3
-"""Torque rows are scaled by the joint's limit, or by that of gravity on an arm of this share of the stance if it is less."""
 
 
 class Load(NamedTuple):
@@ -101,12 +101,12 @@ class ActuatedPolygon(NamedTuple):
             per_acceleration=-self.per_acceleration,
             forward=-self.forward,
             fall=-self.fall,
-            start=simplex.turned(self.ready),
+            start=bounded_basis.turned(self.ready),
         )
 
     def seen_from(self, start: Float[Array, "*n"], heading: int | Float[Array, ""]) -> "ActuatedPolygon":
         """With alpha counted from `start`, onwards (heading +1) or back (-1); so is the acceleration."""
-        turned = simplex.turned(self.ready)
+        turned = bounded_basis.turned(self.ready)
         choose = lambda same, other: jnp.where(jnp.asarray(heading) > 0, same, other)
         return self._replace(
             per_acceleration=heading * self.per_acceleration,
@@ -127,7 +127,7 @@ class ActuatedPolygon(NamedTuple):
         lowest, hold = fixed.at_start(), fixed.holding()
         everywhere = jnp.ones(self.fall.shape, bool)
         loads = [fixed.falling, Load(0 * fixed.at_rest.wrench, hold.target)]
-        start, held = _in_turn([lowest, hold], loads, simplex.begun(lowest), everywhere)
+        start, held = _in_turn([lowest, hold], loads, bounded_basis.begun(lowest), everywhere)
         feasible, effort = start.outcome != Outcome.INFEASIBLE, _effort(self, held)
         pulled = (start.outcome != Outcome.OPTIMAL) | (_line(fixed, start.basis).intercept <= 0)
         nothing = jnp.zeros_like(self.fall)
@@ -158,10 +158,7 @@ class ActuatedPolygon(NamedTuple):
         programs = [fixed.standing(-1), fixed.standing(1)]
         least, most = _in_turn(programs, [fixed.at_rest] * 2, fixed.ready, wanted)
         standing = jnp.where(wanted, least.outcome != Outcome.INFEASIBLE, survey.standing)
-        s_min, s_max = _bounded(self, -1, least), -_bounded(self, 1, most)
-        # Ends that meet, but for rounding, are one place.
-        middle = jnp.where(s_min > s_max, (s_min + s_max) / 2, 0)
-        s_min, s_max = jnp.where(s_min > s_max, middle, s_min), jnp.where(s_min > s_max, middle, s_max)
+        s_min, s_max = one_place(_bounded(self, -1, least), -_bounded(self, 1, most))
         lost = (least.outcome == Outcome.UNDECIDED) | (standing & (most.outcome == Outcome.UNDECIDED))
         here = wanted & standing
         return survey._replace(
@@ -219,13 +216,11 @@ def actuated_polygon(
         gravity: [m/s^2].
         spin: angular momentum per unit mass over the speed [m]: it comes to rest in proportion to the speed.
     """
-    line = wrench_line(cone.origin, cone.length, com, along, gravity)
+    line = wrench_line(cone.origin, cone.length, com, along, gravity, spin)
     lanes, dtype = com.shape[1:], com.dtype
-    rows = _Rows.of(cone, line, lanes, dtype)
-    spin = jnp.zeros_like(com) if spin is None else jnp.broadcast_to(spin.astype(dtype), com.shape)
-    spinning = jnp.concatenate([jnp.zeros_like(spin), spin])
+    rows = Rows.of(cone, line, lanes, dtype)
     rays, weight = jax.lax.optimization_barrier(rows.rays), line.weight
-    into, slack = simplex.mixture(rays), line.slack
+    into, slack = mixture(rays), line.slack
     # Random shares: regular ones would make new ties.
     shares = jnp.asarray(np.random.default_rng(1).uniform(1, 2, size=len(rays)), dtype).reshape(-1, *[1] * len(lanes))
 
@@ -234,14 +229,14 @@ def actuated_polygon(
         return Load(wrench, wrench + slack * weight * into)
 
     nothing = jnp.zeros_like(rows.gravity)
-    per_acceleration = jnp.concatenate([rows.scaled(line.per_acceleration + spinning), nothing])
+    per_acceleration = jnp.concatenate([rows.scaled(line.per_acceleration), nothing])
     return ActuatedPolygon(
         rays=rays,
         per_acceleration=per_acceleration,
         forward=per_acceleration - slack * line.fall / weight * into,
         per_alpha=jnp.concatenate([rows.scaled(line.per_alpha), nothing]),
         at_rest=load(line.at_rest),
-        falling=load(line.across - line.fall * spinning),
+        falling=load(line.across),
         fall=line.fall,
         bound=rows.bound,
         wider=jnp.where(rows.bound > 0, rows.bound + slack * weight * shares, 0),
@@ -249,45 +244,6 @@ def actuated_polygon(
         line=line,
         size=line.length * line.remoteness,
     )
-
-
-class _Rows(NamedTuple):
-    """The rows of a state's programs, scaled."""
-
-    rays: Float[Array, "m r *n"]
-    gravity: Float[Array, "j *n"]
-    """Torque that holds each joint."""
-    bound: Float[Array, "m *n"]
-    length: Float[Array, "*#n"]
-
-    def scaled(self, wrench: Float[Array, "6 *n"]) -> Float[Array, "6 *n"]:
-        """A wrench in the units of the rows."""
-        return jnp.concatenate([wrench[:3], wrench[3:] / self.length])
-
-    @staticmethod
-    def of(cone: ActuatedRays, line: WrenchLine, lanes: tuple[int, ...], dtype: Any) -> "_Rows":
-        """Of lanes of this shape. Rows of masked joints are zero."""
-        full = lambda x, axes: jnp.broadcast_to(
-            jnp.asarray(x, dtype).reshape(*jnp.shape(x)[:axes], *jnp.shape(x)[axes:] or [1] * len(lanes)),
-            (*jnp.shape(x)[:axes], *lanes),
-        )
-        actuation, rays = cone.actuation, full(cone.rays.rays, 2)
-        mask = full(actuation.mask, 1) > 0
-        limit = jnp.where(mask, full(actuation.limit, 1), 0)
-        least = LEAST_LIMIT * line.length * line.weight
-        unit = jax.lax.stop_gradient(jnp.maximum(limit, least) / jnp.where(line.weight > 0, line.weight, 1))
-        unit = jnp.where(unit > 0, unit, 1)
-        joint = lambda x, over: jnp.where(mask if x.ndim == mask.ndim else mask[:, None], x, 0) / over
-        torques = joint(torque_columns(rays, full(actuation.jacobians, 3)), unit[:, None])
-        wrenches = jnp.moveaxis(jnp.concatenate([rays[:, :3], rays[:, 3:] / line.length], axis=1), 0, 1)
-        box = full(cone.momentum_box, 0) / line.length
-        both = jnp.concatenate([wrenches, torques])
-        return _Rows(
-            rays=jnp.concatenate([both, jnp.zeros_like(both[:, :1])], axis=1),
-            gravity=joint(full(actuation.gravity_torque, 1), unit),
-            bound=jnp.concatenate([jnp.zeros((3, *lanes), dtype), jnp.broadcast_to(box, (3, *lanes)), limit / unit]),
-            length=line.length,
-        )
 
 
 def _is_torque(bound: Array) -> Bool[Array, "m *#n"]:
@@ -335,8 +291,8 @@ def _in_turn(programs: list[Program], loads: list[Load], basis: Basis, active: B
     def one(before: _End, step: tuple) -> tuple[_End, _End]:
         own, wrench, exact = step
         program = Program(rays, own.free, own.target, own.bound, scale, own.floor)
-        solution = simplex.solve(program, simplex.renewed(program, before.basis), active)
-        found = simplex.times(solution.basis.inverse, wrench - solution.basis.side * exact)
+        solution = bounded_simplex.solve(program, bounded_basis.renewed(program, before.basis), active)
+        found = bounded_basis.times(solution.basis.inverse, wrench - solution.basis.side * exact)
         end = _End(solution.basis, found, solution.outcome)
         return end, end
 
@@ -348,15 +304,15 @@ def _in_turn(programs: list[Program], loads: list[Load], basis: Basis, active: B
 
 def _free(polygon: ActuatedPolygon, program: Program, end: _End, wrench: Array) -> Float[Array, "*n"]:
     """The free variable at the end of a program, with this wrench to be carried; differentiable."""
-    matrix = simplex.columns(program, end.basis.chosen)
+    matrix = bounded_basis.columns(program, end.basis.chosen)
     carried = wrench - end.basis.side * polygon.bound
-    return simplex.weights(simplex.normal_of(end.basis)[None], end.found, matrix, carried)[0]
+    return bounded_basis.weights(bounded_basis.normal_of(end.basis)[None], end.found, matrix, carried)[0]
 
 
 def _effort(polygon: ActuatedPolygon, hold: _End) -> Float[Array, "*n"]:
     """Share of the limits that holding still takes; infinite where no forces balance the weight, whatever the torques."""
     z = _free(polygon, polygon.holding(), hold, jnp.zeros_like(polygon.bound))
-    noise = polygon.line.slack * polygon.line.weight * jnp.max(jnp.abs(simplex.normal_of(hold.basis)), axis=0)
+    noise = polygon.line.slack * polygon.line.weight * jnp.max(jnp.abs(bounded_basis.normal_of(hold.basis)), axis=0)
     held = -without_noise(z, noise)
     effort = jnp.where(held > 0, 1 / jnp.where(held > 0, held, 1), jnp.inf)
     endless = (hold.outcome == Outcome.UNBOUNDED) | (hold.basis.chosen[0] != FREE)
@@ -372,7 +328,7 @@ def _bounded(polygon: ActuatedPolygon, sign: int, end: _End) -> Float[Array, "*n
 def _place(polygon: ActuatedPolygon, sign: int, end: _End) -> Float[Array, "*n"]:
     """The free variable where the basis meets the weight itself; zero where that is all slack."""
     held = _free(polygon, polygon.standing(sign), end, polygon.at_rest.wrench)
-    noise = polygon.line.slack * polygon.line.weight * jnp.max(jnp.abs(simplex.normal_of(end.basis)), axis=0)
+    noise = polygon.line.slack * polygon.line.weight * jnp.max(jnp.abs(bounded_basis.normal_of(end.basis)), axis=0)
     return snapped(held, noise)
 
 
@@ -420,9 +376,9 @@ def _first(polygon: ActuatedPolygon, walked: Bool[Array, "*n"]) -> list[_End]:
         lanes = jnp.where(number == 0, walked, floorless(before))
         rays = jax.lax.cond(number == 0, lambda: spare, lambda: widened)
         program = Program(rays, own.free, own.target, own.bound, polygon.scale, own.floor)
-        basis = jax.lax.cond(number == 0, lambda: before.basis, lambda: simplex.begun(program))
-        solution = simplex.solve(program, basis, lanes)
-        found = simplex.times(solution.basis.inverse, wrench - solution.basis.side * polygon.bound)
+        basis = jax.lax.cond(number == 0, lambda: before.basis, lambda: bounded_basis.begun(program))
+        solution = bounded_simplex.solve(program, basis, lanes)
+        found = bounded_basis.times(solution.basis.inverse, wrench - solution.basis.side * polygon.bound)
         end = _End(solution.basis, found, solution.outcome)
         return end, end
 
@@ -433,35 +389,21 @@ def _first(polygon: ActuatedPolygon, walked: Bool[Array, "*n"]) -> list[_End]:
 
 def _line(polygon: ActuatedPolygon, basis: Basis) -> Affine:
     """The acceleration over alpha."""
-    normal = simplex.normal_of(basis)
-    along = lambda vector: jnp.sum(normal * vector, axis=0)
-    # The target is not used here: see `ray_polygon`.
-    own = -along(polygon.per_acceleration)  # 1, but for what `forward` was moved by
-    share = jnp.where(own > 0.5, 1 / jnp.where(own > 0.5, own, 1), 1)
-    beyond = share * along(_exact(polygon, basis, polygon.falling.wrench))
-    slack = polygon.line.slack * jnp.max(jnp.abs(normal), axis=0)
-    noise = slack * (jnp.abs(beyond) + polygon.line.weight)
-    steepest = polygon.line.weight / polygon.line.length
-    return Affine(snapped(beyond + polygon.fall, noise), without_noise(share * along(polygon.per_alpha), slack * steepest))
+    carried = _exact(polygon, basis, polygon.falling.wrench)
+    carrying = Carrying(polygon.per_acceleration, polygon.per_alpha, carried, polygon.fall)
+    return line_of(bounded_basis.normal_of(basis), carrying, polygon.line)
 
 
 def _follow(polygon: ActuatedPolygon, basis: Basis) -> Next:
     """Where the first column of the basis comes to a bound, and the basis with the one that takes over."""
     alpha, leaving, side, grows = _end(polygon, basis)
-    bounds = tolerances(polygon.fall.dtype)
     row = jnp.sum(jnp.where(leaving[:, None], basis.inverse, 0), axis=0) * jnp.where(grows, -1, 1)
-    normal = simplex.normal_of(basis)
-    over = lambda vector: jnp.concatenate([simplex.combination(vector, polygon.rays), -basis.side * vector])
-    entry, inside = over(-row), jnp.maximum(over(-normal), 0)
-    takes = entry > bounds.pivot * jnp.max(jnp.abs(row), axis=0)
-    # A little is added to each: of several rays on the same face, that with the largest pivot takes over.
-    near = bounds.reduced_cost * jnp.max(jnp.abs(normal), axis=0)
-    turn = jax.lax.optimization_barrier(jnp.where(takes, -(inside + near) / jnp.where(takes, entry, 1), -jnp.inf))
-    first = jnp.max(turn, axis=0)
-    leaves = first == -jnp.inf
-    entering: Entering = simplex.column_at(polygon.rays, basis, first_of(turn, first))
-    direction = simplex.times(basis.inverse, entering.column)
-    following = simplex.exchanged(basis, leaving, side, entering, direction, ~leaves & (alpha < jnp.inf))
+    normal = bounded_basis.normal_of(basis)
+    over = lambda vector: jnp.concatenate([bounded_basis.combination(vector, polygon.rays), -basis.side * vector])
+    place, leaves = first_met(over(normal), over(-row), normal, row)
+    entering = bounded_basis.column_at(polygon.rays, basis, place)
+    direction = bounded_basis.times(basis.inverse, entering.column)
+    following = bounded_basis.exchanged(basis, leaving, side, entering, direction, ~leaves & (alpha < jnp.inf))
     return Next(alpha, leaves, _line(polygon, following), following)
 
 
@@ -479,23 +421,23 @@ class LineEnd(NamedTuple):
 
 
 def _end(polygon: ActuatedPolygon, basis: Basis) -> LineEnd:
-    """The ratio test of the dual simplex."""
+    """The ratio test of the dual bounded_basis."""
     bounds, target = tolerances(polygon.fall.dtype), polygon.falling.target
-    held = simplex.times(basis.inverse, target - basis.side * polygon.wider)
-    rate = simplex.times(basis.inverse, polygon.per_alpha)
+    held = bounded_basis.times(basis.inverse, target - basis.side * polygon.wider)
+    rate = bounded_basis.times(basis.inverse, polygon.per_alpha)
     noise = jnp.max(jnp.abs(basis.inverse), axis=1) * jnp.max(jnp.abs(polygon.per_alpha), axis=0)
     unit = basis.chosen <= UNIT
-    room, own = simplex.of_units(polygon.wider, basis.chosen), simplex.of_units(polygon.bound, basis.chosen)
+    room, own = bounded_basis.of_units(polygon.wider, basis.chosen), bounded_basis.of_units(polygon.bound, basis.chosen)
     ends = (jnp.where(unit, jnp.abs(rate), -rate) > bounds.slack * noise) & (basis.chosen != FREE)
     room = jnp.where(own > 0, room, bounds.slack * polygon.scale)
     above = jnp.where(unit, room - jnp.sign(rate) * held, held)
     at = jnp.where(ends, jnp.maximum(above, 0) / jnp.where(ends, jnp.abs(rate), 1), jnp.inf)
     first = jnp.min(at, axis=0)
-    _, leaving = simplex.largest(jnp.where(at <= first, jnp.abs(rate), 0))
+    _, leaving = largest(jnp.where(at <= first, jnp.abs(rate), 0))
     of = lambda values: jnp.sum(jnp.where(leaving, values, 0), axis=0)
     # The target decides which column leaves, for it has no ties. Where that is, the wrench itself says: a way to go that is
     # all slack is none.
-    exact = simplex.times(basis.inverse, _exact(polygon, basis, polygon.falling.wrench))
+    exact = bounded_basis.times(basis.inverse, _exact(polygon, basis, polygon.falling.wrench))
     end = ratio(of(jnp.where(unit, jnp.sign(rate) * own, 0) - exact), of(rate))
     side = of(jnp.where(unit & (own > 0), jnp.sign(rate), 0))
     grows = jnp.any(leaving & unit & (rate > 0), axis=0)
@@ -514,16 +456,16 @@ def _boundary_jvp(rising, most, primals, tangents):
         (chosen, side), real = piece
         chosen = jnp.where(real, chosen, UNIT - jnp.arange(len(chosen)).reshape(-1, *[1] * real.ndim))
         program = polygon.at_start()
-        basis = simplex.inverse_of(program, Basis(chosen, jnp.zeros_like(program.target)[:, None], side))
+        basis = bounded_basis.inverse_of(program, Basis(chosen, jnp.zeros_like(program.target)[:, None], side))
         end = _end(polygon, basis)
-        exact = simplex.times(basis.inverse, _exact(polygon, basis, polygon.falling.wrench))
-        moving = simplex.times(basis.inverse, polygon.per_alpha)
+        exact = bounded_basis.times(basis.inverse, _exact(polygon, basis, polygon.falling.wrench))
+        moving = bounded_basis.times(basis.inverse, polygon.per_alpha)
 
         def figures(polygon):
-            matrix = simplex.columns(polygon.at_start(), basis.chosen)
-            held = simplex.weights(basis.inverse, exact, matrix, _exact(polygon, basis, polygon.falling.wrench))
-            rate = simplex.weights(basis.inverse, moving, matrix, polygon.per_alpha)
-            bound = simplex.of_units(polygon.bound, basis.chosen) * jax.lax.stop_gradient(jnp.sign(rate))
+            matrix = bounded_basis.columns(polygon.at_start(), basis.chosen)
+            held = bounded_basis.weights(basis.inverse, exact, matrix, _exact(polygon, basis, polygon.falling.wrench))
+            rate = bounded_basis.weights(basis.inverse, moving, matrix, polygon.per_alpha)
+            bound = bounded_basis.of_units(polygon.bound, basis.chosen) * jax.lax.stop_gradient(jnp.sign(rate))
             out = lambda values: jnp.sum(jnp.where(end.leaving & (basis.chosen != FREE), values, 0), axis=0)
             return Affine(held[0] + polygon.fall, rate[0]), ratio(out(bound - held), out(rate))
 

@@ -14,8 +14,9 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxcap.contacts.cone import ConeRays
 from jaxcap.numerics import simplex
-from jaxcap.numerics.guarded import ratio, snapped, tolerances, without_noise
+from jaxcap.numerics.guarded import ratio, snapped, tolerances
 from jaxcap.numerics.simplex import FREE, UNIT, Basis, Outcome, Program, Solution
+from jaxcap.one_state.basis_line import Carrying, first_met, line_of, one_place
 from jaxcap.one_state.boundary import Boundary, End
 from jaxcap.one_state.polygon import Survey
 from jaxcap.one_state.walk import Affine, Next, moved, walk
@@ -70,8 +71,6 @@ class RayPolygon(NamedTuple):
     """Acceleration along the line that asks least of the contacts, `WrenchLine.fall` [m/s^2]."""
     line: WrenchLine
     """What the wrenches were made of."""
-    steepest: Float[Array, "*n"]
-    """The largest that a coefficient of alpha can be [1/s^2]."""
     size: Float[Array, "*n"]
     """Scale of alpha [m]: size of the stance plus the CoM's distance from it."""
     start: Basis | None = None
@@ -125,10 +124,7 @@ class RayPolygon(NamedTuple):
             _place(self, sign, found.basis),
             -jnp.inf,
         )
-        s_min, s_max = bounded(-1, first), -bounded(1, second)
-        # Ends that meet, but for rounding, are one place.
-        middle = jnp.where(s_min > s_max, (s_min + s_max) / 2, 0)
-        s_min, s_max = jnp.where(s_min > s_max, middle, s_min), jnp.where(s_min > s_max, middle, s_max)
+        s_min, s_max = one_place(bounded(-1, first), -bounded(1, second))
         pulled = (start.outcome != Outcome.OPTIMAL) | (_line(fixed, start.basis).intercept <= 0)
         undecided = (start.outcome == Outcome.UNDECIDED) | (first.outcome == Outcome.UNDECIDED)
         undecided |= standing & feasible & (second.outcome == Outcome.UNDECIDED)
@@ -183,7 +179,7 @@ def ray_polygon(
     columns = jnp.swapaxes(jnp.asarray(rays.rays, com.dtype), 0, 1)
     columns = columns.reshape(*columns.shape, *[1] * (com.ndim + 1 - columns.ndim))  # one set for all lanes
     columns = jax.lax.optimization_barrier(scaled(columns))
-    steepest, into = line.weight / line.length, simplex.mixture(columns)
+    into = simplex.mixture(columns)
 
     def load(wrench: Array, size: Array) -> Load:
         # A vertical line has nothing across it; but ties have to be broken there too.
@@ -200,7 +196,6 @@ def ray_polygon(
         falling=load(line.across, line.sideways),
         fall=line.fall,
         line=line,
-        steepest=steepest,
         size=line.length * line.remoteness,
     )
 
@@ -273,16 +268,8 @@ def _search(
 
 def _line(polygon: RayPolygon, basis: Basis) -> Affine:
     """The acceleration over alpha."""
-    normal = _normal(basis)
-    along = lambda vector: jnp.sum(normal * vector, axis=0)
-    # The target is not used here: a deceleration that it has only because it was moved into the cone would stop the robot in
-    # the end, however far away. What is left of such a one is rounding error.
-    own = -along(polygon.per_acceleration)  # 1, but for what `forward` was moved by
-    share = jnp.where(own > 0.5, 1 / jnp.where(own > 0.5, own, 1), 1)
-    beyond, slope = share * along(polygon.falling.wrench), share * along(polygon.per_alpha)
-    slack = polygon.line.slack * jnp.max(jnp.abs(normal), axis=0)
-    noise = slack * polygon.line.size_beyond(beyond)
-    return Affine(snapped(beyond + polygon.fall, noise), without_noise(slope, slack * polygon.steepest))
+    carrying = Carrying(polygon.per_acceleration, polygon.per_alpha, polygon.falling.wrench, polygon.fall)
+    return line_of(_normal(basis), carrying, polygon.line)
 
 
 def _first(polygon: RayPolygon, walked: Bool[Array, "*n"]) -> tuple[Solution, Bool[Array, "*n"], Float[Array, "*n"]]:
@@ -325,17 +312,10 @@ def _first(polygon: RayPolygon, walked: Bool[Array, "*n"]) -> tuple[Solution, Bo
 def _follow(polygon: RayPolygon, alpha: Array, basis: Basis) -> Next:
     """Where the first weight of the basis comes to zero, and the basis with the ray that takes over."""
     end, leaving, grows = _end(polygon, basis)
-    bounds = tolerances(polygon.fall.dtype)
     row = simplex.combination(leaving.astype(end.dtype), basis.inverse) * jnp.where(grows, -1, 1)
     normal = _normal(basis)
-    entry = simplex.combination(-row, polygon.rays)
-    inside = jnp.maximum(simplex.combination(-normal, polygon.rays), 0)
-    takes = entry > bounds.pivot * jnp.max(jnp.abs(row), axis=0)
-    # A little is added to each: of several rays on the same face, that with the largest pivot takes over.
-    near = bounds.reduced_cost * jnp.max(jnp.abs(normal), axis=0)
-    turn = jax.lax.optimization_barrier(jnp.where(takes, -(inside + near) / jnp.where(takes, entry, 1), -jnp.inf))
-    first = jnp.max(turn, axis=0)
-    entering, leaves = simplex.first_of(turn, first), first == -jnp.inf
+    outside, entry = simplex.combination(normal, polygon.rays), simplex.combination(-row, polygon.rays)
+    entering, leaves = first_met(outside, entry, normal, row)
     direction = simplex.times(basis.inverse, simplex.ray(polygon.rays, entering))
     following = simplex.pivot(basis, leaving, entering, direction, ~leaves & (end < jnp.inf))
     return Next(end, leaves, _line(polygon, following), following)

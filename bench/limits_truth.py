@@ -1,4 +1,4 @@
-"""What the robot's limits add to the margin, against the simulated outcomes: `python -m reference.evaluation.limits`.
+"""What the robot's limits add to the margin, against the simulated outcomes: `python -m bench.limits_truth`.
 
 For each scenario the margins of the point mass, with the state's own angular momentum, with a budget for its rate (the box),
 and with the torque limits of the robot's joints and the effort of holding the posture; falls detected and false alarms at
@@ -12,21 +12,20 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
 import numpy as np
+import pinocchio as pin
 from jaxtyping import Float
 
 import jaxcap
-from jaxcap.robots import actuation
-from reference.evaluation.margins import corners
+from bench.limited import Limited, limited
+from bench.limits import DATA
 from reference.evaluation.roc import Interval, area, judged, point, share
 from reference.evaluation.samples import BEST, FOUR, Samples, read
-from reference.tsid.robot import Robot, load
+from reference.tsid.robot import load
 
-DATA = Path(__file__).parents[1] / "tsid" / "data"
 SCENARIOS = ("two_coplanar", "two", "three", "four")
 BOX = 10.0
 """What the rate of angular momentum may differ by [N m]."""
@@ -52,17 +51,14 @@ VARIANTS = (
 )
 
 
-def margins(samples: Samples, robot: Robot, mass: float, variant: Variant) -> Float[np.ndarray, " n"]:
-    """The margins of all samples [m/s]; NaN where undecided, plus or minus infinity at rest."""
-    points, frames, friction = corners(samples.contacts)
-    contacts = jaxcap.ContactSet(points, frames, friction)
-    limits = postures(samples, robot, contacts) if variant.torques else None
+def margins(states: Limited, momenta: Float[np.ndarray, "n 3"], mass: float, variant: Variant) -> Float[np.ndarray, " n"]:
+    """The margins of states with these angular momenta [kg m^2/s], in m/s; NaN where undecided, infinite at rest."""
     found = jaxcap.score(
-        jaxcap.cone_rays(contacts),
-        samples.com,
-        samples.com_velocity,
-        specific_angular_momentum=samples.angular_momentum / mass if variant.momentum else None,
-        actuation=limits,
+        jaxcap.cone_rays(states.contacts),
+        states.coms,
+        states.velocities,
+        specific_angular_momentum=momenta / mass if variant.momentum else None,
+        actuation=states.actuation if variant.torques else None,
         momentum_box=variant.box / mass,
     )
     found = jax.tree.map(np.asarray, found)
@@ -70,32 +66,9 @@ def margins(samples: Samples, robot: Robot, mass: float, variant: Variant) -> Fl
     return np.where(at_rest, np.where(found.capturable, np.inf, -np.inf), found.margin)
 
 
-def postures(samples: Samples, robot: Robot, contacts: jaxcap.ContactSet) -> jaxcap.Actuation:
-    """What the joints can bear: of the arms that touch, or, where none does, of the legs.
-
-    On TALOS legs never bind, and the rows of the arms alone give the same verdicts in a third of the time.
-    """
-    effectors = samples.contacts.effectors
-    names = list(robot.model.names)[2:]
-    arms = [name for name in names if "arm" in name]
-    hands = any("hand" in str(name) for name in effectors[0])
-    frame_of = lambda effector: robot.model.frames[robot.effectors[effector].frame].name
-    whole: list[np.ndarray] = []
-    for row in np.unique(effectors, axis=0):
-        mine = np.flatnonzero((effectors == row).all(axis=1))
-        touching = [frame_of(effector) for effector in row for _ in range(4)]
-        sets = jax.tree.map(lambda x, mine=mine: x[mine], contacts)
-        found = actuation(robot.model, samples.q[mine], sets, touching, joints=arms if hands else names)
-        parts = found.jacobians, found.gravity_torque, found.limit, found.mask
-        whole = whole or [np.zeros((len(effectors), *part.shape[1:]), part.dtype) for part in parts]
-        for array, part in zip(whole, parts, strict=True):
-            array[mine] = part
-    return jaxcap.Actuation(*whole)
-
-
 def _from(samples: Samples, index: int) -> Samples:
-    """The samples from this number on, without what single controllers did."""
-    keep = samples.index >= index
+    """The samples from this number on that hold their postures, without what single controllers did."""
+    keep = (samples.index >= index) & np.isfinite(samples.q).all(axis=1)
     arrays: dict[str, Any] = {name: x[keep] for name, x in samples._asdict().items() if isinstance(x, np.ndarray)}
     contacts: Any = type(samples.contacts)(*(field[keep] for field in samples.contacts))
     outcomes = {name: words[keep] for name, words in samples.outcomes.items()}
@@ -128,11 +101,13 @@ def main() -> None:
     print("| --- | --- | --- | --- | --- | --- |", flush=True)
     for scenario in options.scenarios:
         samples = _from(read(DATA / f"{scenario}.parquet", options.first), options.skip)
-        robot = load(samples.robot)
-        mass = sum(inertia.mass for inertia in robot.model.inertias)
+        mass = pin.computeTotalMass(load(samples.robot).model)
+        # On TALOS legs never bind: with a hand, rows of the arms alone give the same verdicts in a third of the time.
+        hands = any("hand" in str(name) for name in samples.contacts.effectors[0])
+        states = limited(samples, "arms" if hands else "all")
         for variant in VARIANTS:
             start = time.monotonic()
-            values = margins(samples, robot, mass, variant)
+            values = margins(states, samples.angular_momentum, mass, variant)
             print(f"| {scenario} | {variant.label} | " + " | ".join(line(samples, values, options.truth)) + " |", flush=True)
             print(f"{scenario}, {variant.label}: {time.monotonic() - start:.0f} s", file=sys.stderr, flush=True)
 
