@@ -95,7 +95,7 @@ def times(matrix: Float[Array, "6 6 *n"], vector: Float[Array, "6 *n"]) -> Float
     return cast(Array, sum(matrix[:, i] * vector[i] for i in range(6)))
 
 
-def mixture(rays: Float[Array, "6 r *#n"]) -> Float[Array, "6 *#n"]:
+def mixture(rays: Float[Array, "m r *#n"]) -> Float[Array, "m *#n"]:
     """A random amount of every ray, of all together about four: what a target is moved by, a little.
 
     Ties are broken by it, and the cone is closed in spite of rounding. Regular amounts would cancel each other around a
