@@ -1,5 +1,6 @@
 """Can this robot still stop, or is it going to fall? Zero-step capturability in multi-contact, in JAX."""
 
+from jaxcap.batch.advance import advance as advance
 from jaxcap.batch.score import score as score
 from jaxcap.contacts.actuation import Actuation as Actuation
 from jaxcap.contacts.cone import CentroidalCone as CentroidalCone
@@ -8,6 +9,8 @@ from jaxcap.contacts.cone import centroidal_cone as centroidal_cone
 from jaxcap.contacts.cone import cone_rays as cone_rays
 from jaxcap.contacts.contact_set import ContactSet as ContactSet
 from jaxcap.contacts.contact_set import rectangle as rectangle
+from jaxcap.one_state.advance import Advanced as Advanced
+from jaxcap.one_state.advance import Progress as Progress
 from jaxcap.one_state.capturability import capturability as capturability
 from jaxcap.one_state.result import Capturability as Capturability
 from jaxcap.one_state.result import Case as Case

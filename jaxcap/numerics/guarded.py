@@ -81,3 +81,12 @@ def atanh_ratio(z: Float[Array, "*n"]) -> Float[Array, "*n"]:
     # atanh(w) = log1p(2w / (1 - w)) / 2: one logarithm, exact near 1
     below = jnp.where(z > 0, w, 0.5)
     return jnp.where(small, series, jnp.where(z > 0, 0.5 * jnp.log1p(2 * below / (1 - below)), jnp.arctan(w)) / w)
+
+
+def sinh_ratio(z: Float[Array, "*n"]) -> Float[Array, "*n"]:
+    """sinh(sqrt z)/sqrt z for z > 0, sin(sqrt -z)/sqrt -z for z < 0, 1 at 0."""
+    small = jnp.abs(z) < 1e-2
+    series = 1 + z / 6 * (1 + z / 20 * (1 + z / 42 * (1 + z / 72)))
+    w = root(jnp.where(small, 1, jnp.abs(z)))
+    rising = z > 0
+    return jnp.where(small, series, jnp.where(rising, jnp.sinh(jnp.where(rising, w, 1)), jnp.sin(w)) / w)

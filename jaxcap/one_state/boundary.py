@@ -4,8 +4,9 @@ With e = alphadot^2/2 in place of time, de/dalpha = acceleration. On a piece `in
 quadratic of alpha, and every question about the motion needs polynomials and one square root.
 """
 
+from collections.abc import Callable
 from enum import IntEnum
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -74,7 +75,7 @@ class Boundary(NamedTuple):
             here = (piece.left <= alpha) & (alpha < piece.right)
             return total + jnp.where(here, piece.intercept + piece.slope * alpha, 0)
 
-        return self._over_pieces(add, alpha, jnp.zeros_like(alpha))
+        return self.over_pieces(add, alpha, jnp.zeros_like(alpha))
 
     def gain(self, alpha: Float[Array, "*jn"]) -> Float[Array, "*jn"]:
         """Energy gained from 0 to alpha >= 0, the integral of the acceleration [m^2/s^2]; zero for an infinite alpha.
@@ -86,7 +87,7 @@ class Boundary(NamedTuple):
         def add(piece, alpha, total):
             return total + piece_gain(piece, jnp.minimum(piece.left, alpha), jnp.minimum(piece.right, alpha))
 
-        return self._over_pieces(add, alpha, jnp.zeros_like(alpha))
+        return self.over_pieces(add, alpha, jnp.zeros_like(alpha))
 
     def ride(self, energy: Float[Array, "*n"]) -> "Ride":
         """The motion of a CoM that starts at 0 with this energy, to where it first comes to rest.
@@ -94,7 +95,7 @@ class Boundary(NamedTuple):
         Meaningless where it never does.
         """
         zero = jnp.zeros_like(energy)
-        return self._over_pieces(_ride_piece, None, Ride(energy, zero, zero, jnp.ones_like(zero)))
+        return self.over_pieces(_ride_piece, None, Ride(energy, zero, zero, jnp.ones_like(zero)))
 
     def duration(self, start: Array, stop: Array, energy: Array, energy_at_stop: Array) -> Float[Array, "*n"]:
         """Time from alpha = start to a finite stop [s] for a CoM that has these energies there.
@@ -107,11 +108,11 @@ class Boundary(NamedTuple):
             energy, time = state
             left, right = jnp.clip(piece.left, start, stop), jnp.clip(piece.right, start, stop)
             after = jnp.where(right < stop, energy + piece_gain(piece, left, right), energy_at_stop)
-            return after, time + _time(right - left, energy, after, piece.slope)
+            return after, time + stretch_time(right - left, energy, after, piece.slope)
 
-        return self._over_pieces(add, (start, stop, energy_at_stop), (energy, jnp.zeros_like(energy)))[1]
+        return self.over_pieces(add, (start, stop, energy_at_stop), (energy, jnp.zeros_like(energy)))[1]
 
-    def _over_pieces(self, step, values, start):
+    def over_pieces(self, step: Callable, values: Any, start: Any) -> Any:
         """Fold `step(piece, values, state)` over the pieces."""
         at = lambda k, field: jax.lax.dynamic_index_in_dim(field, k, keepdims=False)
         one = lambda k, arguments, state: step(Pieces(*(at(k, field) for field in arguments[0])), arguments[1], state)
@@ -137,10 +138,10 @@ def _ride_piece(piece: Pieces, _: None, ride: Ride) -> Ride:
     right = jnp.where(last, piece.left, piece.right)
     after = ride.energy + piece_gain(piece, piece.left, right)
     rests = last | (after <= 0)
-    travelled = _rest(ride.energy, piece.intercept + piece.slope * piece.left, piece.slope)
+    travelled = rest_within(ride.energy, piece.intercept + piece.slope * piece.left, piece.slope)
     travelled = jnp.where(rests, travelled, right - piece.left)
     after = jnp.where(rests, 0, after)
-    time = _time(travelled, ride.energy, after, piece.slope)
+    time = stretch_time(travelled, ride.energy, after, piece.slope)
     return Ride(
         energy=jnp.where(moving, after, ride.energy),
         alpha=jnp.where(moving & rests, piece.left + travelled, ride.alpha),
@@ -154,7 +155,7 @@ def piece_gain(piece: Pieces, left: Array, right: Array) -> Array:
     return (right - left) * (piece.intercept + piece.slope * (left + right) / 2)
 
 
-def _rest(energy, acceleration, slope):
+def rest_within(energy: Array, acceleration: Array, slope: Array) -> Array:
     """Distance in which a CoM with this energy comes to rest under an acceleration that changes with this slope: the
     smaller root of energy + acceleration d + slope d^2/2, in the form without cancellation.
     """
@@ -164,7 +165,7 @@ def _rest(energy, acceleration, slope):
     )
 
 
-def _time(travelled, before, after, slope):
+def stretch_time(travelled: Array, before: Array, after: Array, slope: Array) -> Array:
     """Time over a stretch of one piece, from the energies at its ends [s]; one real formula in place of (19)-(24):
     with tau = 2 dx/(v0 + v1) and z = slope tau^2/4, t = tau atanh(sqrt z)/sqrt z.
     """

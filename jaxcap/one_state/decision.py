@@ -119,7 +119,7 @@ def _case(line: Line, speeds: Speeds, speed: Array) -> Array:
 def _still(line: Line) -> Capturability:
     """The answer at speed zero: the static region of any line through the CoM says whether it can stand where it is."""
     survey = line.survey
-    stands = survey.known & survey.standing & survey.feasible & _stands(survey)
+    stands = survey.known & survey.standing & survey.feasible & stands_here(survey)
     none = jnp.full_like(survey.s_min, jnp.nan)
     case = jnp.where(stands, Case.C3_1, jnp.where(survey.known, Case.EMPTY, Case.UNDECIDED))
     return Capturability(
@@ -142,7 +142,7 @@ def _effort(survey: Survey) -> Array:
     return jnp.full_like(survey.s_min, jnp.nan) if survey.effort is None else survey.effort
 
 
-def _stands(survey: Survey) -> Array:
+def stands_here(survey: Survey) -> Bool[Array, "*n"]:
     """The CoM may stay where it is."""
     return (survey.s_min <= 0) & (survey.s_max >= 0) if survey.effort is None else survey.effort <= 1
 
@@ -206,7 +206,7 @@ def _answer(motion: Motion, speeds: Speeds) -> Capturability:
         Status.OK,
     )
     decided = finite & speeds.known
-    capturable = jnp.where(moving, (margin >= 0) & ~unheld, line.survey.standing & _stands(line.survey)) & decided
+    capturable = jnp.where(moving, (margin >= 0) & ~unheld, line.survey.standing & stands_here(line.survey)) & decided
     stopped = capturable & (status != Status.MAX_SWINGS)
     figure = lambda known, value: jnp.where(decided & known, value, jnp.nan)
     return Capturability(

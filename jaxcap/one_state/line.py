@@ -75,14 +75,16 @@ def motion_of_lanes(
     survey: Survey | None = None,
     quick: bool = False,
     specific_angular_momentum: Num[Array, "3 *n"] | None = None,
+    rising: bool = False,
 ) -> Motion:
     """States side by side, lanes last, on their lines of travel.
 
     survey: from `survey_of_lanes`, if it is known. quick: only what most states need; `Line.skipped` says which need more.
-    specific_angular_momentum: as `capturability` has it [m^2/s].
+    specific_angular_momentum: as `capturability` has it [m^2/s]. rising: the lower boundary goes on where the acceleration is
+    not negative, to the polygon's end: no robot diverges then, as decisions would ask.
     """
     cut = _cut(cone, com, com_velocity, gravity, specific_angular_momentum)
-    line = _line(cut.polygon, cut.polygon.survey() if survey is None else survey, quick)
+    line = _line(cut.polygon, cut.polygon.survey() if survey is None else survey, quick, rising)
     return Motion(line, cut.speed, cut.finite)
 
 
@@ -163,10 +165,10 @@ def _finite_cone(cone: Cone) -> Bool[Array, "*n"]:
     return finite
 
 
-def _line(polygon: Producer, survey: Survey, quick: bool) -> Line:
+def _line(polygon: Producer, survey: Survey, quick: bool, rising: bool) -> Line:
     """quick: without what only some states need, a lower boundary of more than a few pieces, an upper one, swings."""
     polygon = polygon.knowing(survey)
-    lower = polygon.boundary(jnp.where(survey.feasible, jnp.inf, 0), most=QUICK if quick else None)
+    lower = polygon.boundary(jnp.where(survey.feasible, jnp.inf, 0), rising, most=QUICK if quick else None)
     if isinstance(polygon, ActuatedPolygon) and not quick:
         survey = polygon.completed(survey, lower.ending != End.DIVERGES)
     standing = survey.standing & survey.feasible

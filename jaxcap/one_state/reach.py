@@ -29,11 +29,16 @@ def reach_time(
 
 
 def _reach_time(lower, upper, target, energy):
-    floorless = lower.ending == End.FLOORLESS
-    switch = jnp.where(floorless, target, _switch(lower, upper, target, energy))
+    switch = switch_of(lower, upper, target, energy)
     at_switch = energy - upper.gain(switch)
     none = jnp.zeros_like(target)
     return upper.negated().duration(none, switch, energy, at_switch) + lower.duration(switch, target, at_switch, none)
+
+
+def switch_of(lower: Boundary, upper: Boundary, target: Float[Array, "*n"], energy: Float[Array, "*n"]) -> Float[Array, "*n"]:
+    """Where the manoeuvre of `reach_time` changes over [m]; at the target itself where nothing limits deceleration."""
+    floorless = lower.ending == End.FLOORLESS
+    return jnp.where(floorless, target, _switch(lower, upper, target, energy))
 
 
 def _switch(lower: Boundary, upper: Boundary, target: Array, energy: Array) -> Array:

@@ -1,0 +1,140 @@
+"""The state after a time, of one state or of many."""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Num
+
+from jaxcap.batch.blocks import BLOCK, RAYS_BLOCK, block_of, over_blocks, over_chunks, padded_cone
+from jaxcap.contacts.actuation import ActuatedRays, Actuation, actuated
+from jaxcap.contacts.cone import CentroidalCone, ConeRays
+from jaxcap.contacts.conventions import GRAVITY, ArrayLike, checked_gravity
+from jaxcap.contacts.scoring_input import check_cone, relative, rounded
+from jaxcap.one_state.advance import Advanced, Moved, advance_of_lanes
+from jaxcap.one_state.line import Cone
+
+
+class _Rows(NamedTuple):
+    """What differs from state to state."""
+
+    coms: Num[Array, "n 3"]
+    com_velocities: Num[Array, "n 3"]
+    durations: Num[Array, "n"]
+    cones: ConeRays | ActuatedRays | None
+
+
+def advance(
+    cone: CentroidalCone | ConeRays,
+    com: ArrayLike,
+    com_velocity: ArrayLike,
+    duration: ArrayLike,
+    gravity: ArrayLike = GRAVITY,
+    *,
+    actuation: Actuation | None = None,
+) -> Advanced:
+    """Where the robot is after some time of braking as hard as its contacts allow, along its own velocity.
+
+    It does what `capturability` says it should: brake hardest; where that would stop it too early, as late as it may (so what
+    is capturable stays so). Where it cannot stop it is carried along its line, until the contacts are lost; without
+    contacts it falls freely. One state or many; pure: works under jit, vmap, jacfwd, jacrev and grad. Never raises for the
+    values of a state: see `Advanced.status`.
+
+    Args:
+        cone: from `centroidal_cone` or `cone_rays`; rays may be those of one contact set, or of each of n states.
+        com: (3,), or (n, 3) for many states [m], in the contacts' frame, z up.
+        com_velocity: (3,), or (n, 3) [m/s].
+        duration: one number, or (n,) [s], >= 0. At zero the state is the same to the bit.
+        gravity: (3,) [m/s^2].
+        actuation: what the robot's joints can bear, in one posture or in one for each state; with rays only.
+
+    Returns:
+        The state then, and how it came there. NumPy's positions come back as NumPy's, in their own precision.
+
+    Raises:
+        TypeError: for wrong shapes, contacts in place of a cone, or an actuation of other contacts.
+        ValueError: for a duration that is negative or not finite.
+
+    Source: Section III: (12) and the accelerations of (25)-(29); time on a piece in closed form, as (19)-(24).
+    """
+    check_cone(cone)
+    checked_gravity(gravity, finite=False)
+    array = lambda x: x if isinstance(x, jax.Array) else np.asarray(x)
+    com, velocity = array(com), array(com_velocity)
+    _check_shapes(cone, com, velocity)
+    many = com.ndim == 2
+    duration = checked_times("duration", duration, (len(com),) if many else ())
+    near, position = relative(cone, com)
+    limited = near if actuation is None else actuated(near, actuation, 0.0, len(com) if many else None)
+    states = position, rounded(velocity), rounded(duration)
+    found = _of_rows(limited, states, gravity) if many else advance_of_lanes(limited, *states, gravity)
+    # Positions far from the origin keep their precision: it is the difference that was computed.
+    traced = any(isinstance(x, jax.core.Tracer) for x in (com, found.displacement))
+    there = com + found.displacement if traced or isinstance(com, jax.Array) else com + np.asarray(found.displacement)
+    return Advanced(com=there, **found._asdict())
+
+
+def checked_times(name: str, times: Any, shape: tuple[int, ...]) -> Any:
+    """Times as an array of this shape.
+
+    Args:
+        name: for messages.
+        times: one number, or what broadcasts to `shape` [s].
+        shape: wanted.
+
+    Raises:
+        TypeError: for what does not broadcast.
+        ValueError: for a time that is negative or not finite. Values under a JAX transformation are not checked.
+    """
+    if not isinstance(times, jax.Array):
+        times = np.asarray(times)
+        if times.dtype.kind not in "iuf":
+            raise TypeError(f"{name}: {times.dtype} (expected numbers of seconds)")
+    sizes = f"one number, or {shape}" if shape else "one number"
+    try:
+        fits = np.broadcast_shapes(np.shape(times), shape) == shape
+    except ValueError:
+        fits = False
+    if not fits:
+        raise TypeError(f"{name} has shape {np.shape(times)} (expected {sizes})")
+    if not isinstance(times, jax.core.Tracer):
+        values = np.asarray(times)
+        for index in np.argwhere(~(np.isfinite(values) & (values >= 0)))[:1]:
+            place = f"[{', '.join(map(str, index))}]" if values.ndim else ""
+            raise ValueError(f"{name}{place} = {values[tuple(index)]} (expected a finite number of seconds, not negative)")
+    return (np if isinstance(times, np.ndarray) else jnp).broadcast_to(times, shape)
+
+
+def _check_shapes(cone: CentroidalCone | ConeRays, com: Any, velocity: Any) -> None:
+    """Raises TypeError."""
+    if com.ndim not in (1, 2) or com.shape[-1] != 3:
+        raise TypeError(f"com has shape {com.shape} (expected (3,), or (n, 3) for many states)")
+    if velocity.shape != com.shape:
+        raise TypeError(f"com_velocity has shape {velocity.shape} (expected {com.shape}, as com)")
+    batched = isinstance(cone, ConeRays) and cone.batched
+    if batched and (com.ndim == 1 or len(cone.rays) != len(com)):
+        count = "one state" if com.ndim == 1 else f"{len(com)} states"
+        raise TypeError(f"cone has rays of {len(cone.rays)} contact sets (expected one, or one for each of {count})")
+
+
+def _of_rows(cone: Cone, states: tuple[Any, Any, Any], gravity: ArrayLike) -> Moved:
+    coms, velocities, durations = (jnp.asarray(x) for x in states)
+    own = cone if isinstance(cone, ConeRays | ActuatedRays) and cone.batched else None
+    common = None if own is not None else cone if isinstance(cone, ActuatedRays) else padded_cone(cone)
+    rows = _Rows(coms, velocities, durations, own)
+    pull = jnp.asarray(gravity, jnp.result_type(coms, jnp.float32))
+    if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves((rows, common, pull))):
+        return _block(common, rows, pull)
+    n, block = len(coms), BLOCK if own is None else RAYS_BLOCK
+    return over_blocks(lambda start: _block(common, block_of(rows, n, start, block), pull), n, block)
+
+
+@jax.jit
+def _block(common: Cone | None, rows: _Rows, gravity: Num[Array, "3"]) -> Moved:
+    def of_lanes(lanes: _Rows) -> Moved:
+        cone = common if lanes.cones is None else lanes.cones
+        assert cone is not None, "states without contacts"
+        return advance_of_lanes(cone, lanes.coms, lanes.com_velocities, lanes.durations, gravity)
+
+    return over_chunks(of_lanes, rows)
