@@ -41,11 +41,15 @@ def _stepped(program: LineProgram, speed: float, duration: float, steps: int) ->
     acceleration = _least(program, alpha)
     if acceleration is None:
         return Braked(alpha, speed, time, "leaves", 0.0)
+    if acceleration == -np.inf:  # forces without limit
+        return Braked(alpha, 0.0, time, "rests", 0.0)
     for _ in range(steps):
         ahead = alpha + speed * dt + acceleration * dt**2 / 2
         then = _least(program, ahead)
         if then is None:
             return Braked(alpha, speed, time, "leaves", 0.0)
+        if then == -np.inf:
+            return Braked(ahead, 0.0, time + dt, "rests", 0.0)
         faster = speed + (acceleration + then) / 2 * dt
         if faster <= 0:
             part = speed / (speed - faster)  # of the step
@@ -55,6 +59,8 @@ def _stepped(program: LineProgram, speed: float, duration: float, steps: int) ->
 
 
 def _least(program: LineProgram, alpha: float) -> float | None:
-    """The least acceleration [m/s^2]; None where none is feasible, or none is least."""
+    """The least acceleration [m/s^2], -inf where none is least; None where none is feasible."""
     result = solve_acceleration(program, alpha)
-    return None if result is None or result.status == 3 else float(result.x[0])
+    if result is None:
+        return None
+    return -np.inf if result.status == 3 else float(result.x[0])

@@ -15,8 +15,9 @@ G = 9.81
 HEIGHT = 0.8
 OMEGA = np.sqrt(G / HEIGHT)
 TIMES = (0.05, 0.2, 0.4)  # [s]
-SAMPLE = 60  # states in a test
+SAMPLE = 120  # states in a test
 FEET = jaxcap.rectangle([0, 0.1, 0], np.eye(3), 0.1, 0.05, 2.0) + jaxcap.rectangle([0, -0.1, 0], np.eye(3), 0.1, 0.05, 2.0)
+ENDINGS = {"on the way": [Progress.ON_THE_WAY], "rests": [Progress.RESTS, Progress.TURNS], "leaves": [Progress.LEAVES]}
 FORMS = {"faces": jaxcap.centroidal_cone, "rays": jaxcap.cone_rays}
 
 
@@ -57,7 +58,11 @@ def test_it_is_where_steps_of_linear_programs_lead(sample, scored, time):
         (points, frames, friction), com, velocity = sample[0][i], sample[2][i], sample[3][i]
         oracle = braked(points, frames, friction, com, velocity, time)
         alpha = found.displacement[i] @ velocity / np.linalg.norm(velocity)
-        ending = {"on the way": [Progress.ON_THE_WAY], "rests": [Progress.RESTS, Progress.TURNS], "leaves": [Progress.LEAVES]}
+        ending = {
+            "on the way": [Progress.ON_THE_WAY],
+            "rests": [Progress.RESTS, Progress.TURNS],
+            "leaves": [Progress.LEAVES],
+        }
         assert found.progress[i] in ending[oracle.ending]
         if oracle.ending == "leaves":  # it sees that a step late or early
             assert abs(found.time[i] - oracle.time) < 0.003
@@ -66,7 +71,7 @@ def test_it_is_where_steps_of_linear_programs_lead(sample, scored, time):
             np.testing.assert_allclose([alpha, speeds[i]], [oracle.alpha, oracle.speed], atol=bound)
             np.testing.assert_allclose(found.time[i], oracle.time, atol=max(1e-9, 0.004 * (oracle.ending == "rests")))
         compared.add(oracle.ending)
-    assert "leaves" in compared and len(compared) == (2 if time < 0.1 else 3)
+    assert compared == {"on the way", "rests", "leaves"}
 
 
 def test_it_comes_to_rest_where_and_when_the_decision_says(sample, scored):
@@ -117,7 +122,7 @@ def test_one_state_is_a_row_of_many(sample):
 
 def test_gradients_equal_central_differences(sample):
     """With respect to place, velocity and time, forwards and backwards, where two steps of the differences agree."""
-    cones, states = sample[1], np.column_stack([*sample[2:], np.full(len(sample[2]), 0.15)])
+    cones, states = jax.tree.map(lambda leaf: leaf[:40], (sample[1], np.column_stack([*sample[2:], np.full(SAMPLE, 0.15)])))
     figures = lambda cone, x: jnp.concatenate([(a := jaxcap.advance(cone, x[:3], x[3:6], x[6])).com, a.com_velocity])
     value = jax.jit(jax.vmap(figures))
     backwards = np.asarray(jax.jit(jax.vmap(jax.jacrev(figures, argnums=1)))(cones, states))
@@ -174,7 +179,6 @@ def test_far_from_the_origin_nothing_is_lost():
         ({"duration": np.zeros(3)}, TypeError, r"duration has shape \(3,\) \(expected one number\)"),
         ({"com": np.zeros(2)}, TypeError, r"com has shape \(2,\)"),
         ({"com_velocity": np.zeros((1, 3))}, TypeError, "com_velocity has shape"),
-        ({"cone": FEET}, TypeError, "cone: a ContactSet"),
     ],
 )
 def test_what_cannot_be_is_named(change, error, words):

@@ -9,6 +9,11 @@ MARKS = ("slow", "sim", "evaluation")
 """What is left out unless it is asked for. All are registered in pyproject.toml."""
 
 QUICK: dict[str, tuple[str, ...]] = {
+    "test_advance.py": (
+        "test_what_cannot_be_is_named",
+        "test_the_oracle_agrees_with_the_pendulum",
+        "test_the_inverted_pendulum_in_closed_form[0.2-0.1-faces",
+    ),
     "test_angular_momentum.py": (
         "test_a_row_that_is_not_finite_leaves_the_others_alone[float64",
         "test_wrong_shapes_are_named",

@@ -36,9 +36,9 @@ def advance(
 ) -> Advanced:
     """Where the robot is after some time of braking as hard as its contacts allow, along its own velocity.
 
-    It does what `capturability` says it should: brake hardest; where that would stop it too early, as late as it may (so what
-    is capturable stays so). Where it cannot stop it is carried along its line, until the contacts are lost; without
-    contacts it falls freely. One state or many; pure: works under jit, vmap, jacfwd, jacrev and grad. Never raises for the
+    It does what `capturability` says it should: brake hardest, but no more than brings it to where it can stand (so what is
+    capturable stays so). Where it cannot stop it is carried along its line, until the contacts are lost; without contacts it
+    falls freely. One state or many; pure: works under jit, vmap, jacfwd, jacrev and grad. Never raises for the
     values of a state: see `Advanced.status`.
 
     Args:
@@ -112,8 +112,7 @@ def _check_shapes(cone: CentroidalCone | ConeRays, com: Any, velocity: Any) -> N
         raise TypeError(f"com has shape {com.shape} (expected (3,), or (n, 3) for many states)")
     if velocity.shape != com.shape:
         raise TypeError(f"com_velocity has shape {velocity.shape} (expected {com.shape}, as com)")
-    batched = isinstance(cone, ConeRays) and cone.batched
-    if batched and (com.ndim == 1 or len(cone.rays) != len(com)):
+    if isinstance(cone, ConeRays) and cone.batched and (com.ndim == 1 or len(cone.rays) != len(com)):
         count = "one state" if com.ndim == 1 else f"{len(com)} states"
         raise TypeError(f"cone has rays of {len(cone.rays)} contact sets (expected one, or one for each of {count})")
 

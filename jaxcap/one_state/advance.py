@@ -19,6 +19,7 @@ from jaxcap.numerics.guarded import ratio, select, tolerances
 from jaxcap.one_state.boundary import End
 from jaxcap.one_state.decision import stands_here
 from jaxcap.one_state.line import FASTEST, Cone, Line, motion_of_lanes
+from jaxcap.one_state.polygon import Survey
 from jaxcap.one_state.reach import switch_of
 from jaxcap.one_state.result import Status
 from jaxcap.one_state.timed_ride import TimedRide, ride_on
@@ -97,7 +98,7 @@ def advance_of_lanes(
     progress = select(
         [~decided, flies, ride.rested > 0, left & moving],
         [Progress.UNDECIDED, Progress.FLIES, _at_rest(line, ride.alpha), Progress.LEAVES],
-        jnp.where(moving, Progress.ON_THE_WAY, jnp.where(stands_here(line.survey), Progress.RESTS, Progress.TURNS)),
+        jnp.where(moving, Progress.ON_THE_WAY, jnp.where(_stands(line.survey), Progress.RESTS, Progress.TURNS)),
     )
     status = select(
         [~finite, ~decided, ~moving & ~flies], [Status.NONFINITE, Status.MAX_STEPS, Status.NO_DIRECTION], Status.OK
@@ -139,6 +140,11 @@ def _at_rest(line: Line, alpha: Array) -> Array:
     near = tolerances(alpha.dtype).same_alpha * line.polygon.size
     inside = survey.standing & (survey.s_min - near <= alpha) & (alpha <= survey.s_max + near)
     return jnp.where(inside, Progress.RESTS, Progress.TURNS)
+
+
+def _stands(survey: Survey) -> Array:
+    """Whether a CoM at rest stays where it is."""
+    return survey.standing & survey.feasible & stands_here(survey)
 
 
 def _touching(cone: Cone) -> Bool[Array, "*n"]:

@@ -80,8 +80,8 @@ def motion_of_lanes(
     """States side by side, lanes last, on their lines of travel.
 
     survey: from `survey_of_lanes`, if it is known. quick: only what most states need; `Line.skipped` says which need more.
-    specific_angular_momentum: as `capturability` has it [m^2/s]. rising: the lower boundary goes on where the acceleration is
-    not negative, to the polygon's end: no robot diverges then, as decisions would ask.
+    specific_angular_momentum: as `capturability` has it [m^2/s]. rising: the lower boundary goes on where the acceleration
+    is not negative, to the polygon's end; no decision is made by such a line, which has no C1.
     """
     cut = _cut(cone, com, com_velocity, gravity, specific_angular_momentum)
     line = _line(cut.polygon, cut.polygon.survey() if survey is None else survey, quick, rising)

@@ -35,7 +35,9 @@ def _reach_time(lower, upper, target, energy):
     return upper.negated().duration(none, switch, energy, at_switch) + lower.duration(switch, target, at_switch, none)
 
 
-def switch_of(lower: Boundary, upper: Boundary, target: Float[Array, "*n"], energy: Float[Array, "*n"]) -> Float[Array, "*n"]:
+def switch_of(
+    lower: Boundary, upper: Boundary, target: Float[Array, "*n"], energy: Float[Array, "*n"]
+) -> Float[Array, "*n"]:
     """Where the manoeuvre of `reach_time` changes over [m]; at the target itself where nothing limits deceleration."""
     floorless = lower.ending == End.FLOORLESS
     return jnp.where(floorless, target, _switch(lower, upper, target, energy))
