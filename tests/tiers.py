@@ -138,6 +138,7 @@ QUICK: dict[str, tuple[str, ...]] = {
         "test_help_names_them",
         "test_a_map_of_limits_needs_a_speed",
     ),
+    "test_next_contact.py": ("test_what_cannot_be_is_named[change0", "test_what_cannot_be_is_named[change1"),
     "test_plain_qp.py": (),
     "test_plotting.py": (
         "test_a_window_clips_half_planes",
@@ -174,6 +175,7 @@ QUICK: dict[str, tuple[str, ...]] = {
         "test_a_state_that_is_not_finite_is_undecided[faces",
         "test_wrong_shapes_are_type_errors",
     ),
+    "test_surfaces.py": ("",),
     "test_tsid_limits.py": ("",),
     "test_tsid_simulator.py": ("test_without_a_push_the_robot_has_stopped", "test_options_are_checked"),
     "test_tsid_summary.py": ("",),

@@ -3,9 +3,9 @@
 Until the new contact bears, the robot brakes as hard as its present contacts allow (`advance`); then the question is that of
 `score`, with the contact added. This is the one-step capture region, on floor, wall and rail alike.
 
-What it says of a robot. Contacts bear whatever friction allows here, arms do not: of 300 simulated touchdowns of TALOS's hand
-on a wall three of four that this model calls saved still fell. So without the limits of the joints the answer ranks
-candidates and rules them out, and only with `actuation` it says `saves`.
+What it says of a robot. Contacts bear whatever friction allows here, arms do not: in simulated touchdowns of TALOS's hand on
+a wall, with its torque limits, three of four that this model calls saved still fell. So without the limits of the joints the
+answer ranks candidates and rules them out, and only with `actuation` it says `saves`.
 """
 
 from collections.abc import Sequence
@@ -115,8 +115,8 @@ def next_contacts(
         lifted: rows of `contacts` that bear nothing from now on: the foot that swings, which the candidates replace.
         reachable: (m,) or (n, m) bool, candidates that can be reached; all if not given.
         horizon: also look for `latest`, up to this delay [s]; takes sixteen times as long.
-        actuation: of each of m candidates, what the joints can bear in the posture at touchdown: with rows for the `contacts`,
-            then for those of the candidate. It counts at touchdown; until then contacts bear what friction allows.
+        actuation: of each of m candidates, what the joints can bear in the posture at touchdown: with rows for the
+            `contacts`, then for those of the candidate. It counts from touchdown on, not before.
         sides: edges of each friction pyramid, >= 3.
         gravity: (3,) [m/s^2].
 
@@ -128,12 +128,14 @@ def next_contacts(
         ValueError: for no candidates, a delay or horizon that is negative or not finite, a lifted contact that is not there.
             A candidate or state with numbers that are not finite gets a status, and leaves the others alone.
 
-    Source: DESIGN of one-step capturability by the same line; on flat ground the regions of Koolen et al., IJRR 2012.
+    Source: on flat ground the regions of Koolen et al., Capturability-based Analysis, IJRR 2012, of motions along one line.
     """
     sets = _sets(contacts, _stacked(candidates), lifted, sides, gravity, actuation)
     com, com_velocity = np.asarray(com), np.asarray(com_velocity)
     if com.ndim not in (1, 2) or com.shape[-1:] != (3,) or com_velocity.shape != com.shape:
-        raise TypeError(f"com, com_velocity have shapes {com.shape}, {com_velocity.shape} (expected (3,), or (n, 3) for both)")
+        raise TypeError(
+            f"com, com_velocity have shapes {com.shape}, {com_velocity.shape} (expected (3,), or (n, 3) for both)"
+        )
     coms, velocities = np.atleast_2d(com), np.atleast_2d(com_velocity)
     shape = len(coms), sets.candidates
     delays = checked_times("delay", delay, shape if com.ndim == 2 else shape[1:])
@@ -143,7 +145,7 @@ def next_contacts(
     found = _answers(sets, coms, velocities, delays, there)
     if horizon is not None:
         found = found._replace(latest=_latest(sets, coms, velocities, float(checked_times("horizon", horizon, ())), there))
-    return found if com.ndim == 2 else NextContacts(*(None if field is None else field[0] for field in found))
+    return found if com.ndim == 2 else jax.tree.map(lambda field: field[0], found)
 
 
 def _answers(sets: _Sets, coms: np.ndarray, velocities: np.ndarray, delays: np.ndarray, there: np.ndarray) -> NextContacts:

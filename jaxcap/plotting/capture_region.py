@@ -1,0 +1,100 @@
+"""The capture region on surfaces: where a new contact lets the robot stop, painted on floor, wall and rail."""
+
+from typing import Any
+
+import numpy as np
+from contourpy import contour_generator
+from jaxtyping import Float
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import TwoSlopeNorm
+from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
+from mpl_toolkits.mplot3d.axes3d import Axes3D
+
+from jaxcap.contacts.surfaces import Candidates
+from jaxcap.plotting.style import DARK, GREY, axes_or_new
+
+COLORS = "PuOr"
+"""Colours of margins: told apart by colour-blind readers, pale where the sign changes."""
+LEAST = 0.05
+"""The scale of colours reaches at least so far either way [m/s]."""
+
+
+def capture_region(
+    candidates: Candidates, margin: Float[np.ndarray, "m"], *, limit: float | None = None, ax: Axes | None = None
+) -> Axes:
+    """The margin of every candidate, painted where it is, and the line where it is zero: inside, the robot can stop.
+
+    In axes of three dimensions as they lie in space; in others as seen from above.
+
+    Args:
+        candidates: From `candidates_on`.
+        margin: (m,) of each, as `NextContacts.margin` [m/s]; where it is NaN the surface is grey.
+        limit: The colours end at plus and minus this margin [m/s]; by default at the largest there is.
+        ax: Axes to draw into, of two or three dimensions; by default new ones of three.
+
+    Returns:
+        The axes.
+
+    Raises:
+        ValueError: For another number of margins than candidates, or a limit that is not positive.
+    """
+    margin = np.asarray(margin, float)
+    if margin.shape != candidates.surface.shape:
+        raise ValueError(f"margin has shape {margin.shape} (expected {candidates.surface.shape}: one for each candidate)")
+    known = margin[np.isfinite(margin)]
+    limit = max(LEAST, float(np.abs(known).max(initial=0))) if limit is None else limit
+    if not limit > 0:
+        raise ValueError(f"limit = {limit} (expected a positive number of m/s)")
+    axes: Any = axes_or_new(None, (6.8, 5.6), "3d") if ax is None else ax
+    colors = ScalarMappable(TwoSlopeNorm(0, -limit, limit), COLORS)
+    for owner in np.unique(candidates.surface):
+        mine = candidates.surface == owner
+        frame = np.asarray(candidates.contacts.frames)[mine][0, 0]
+        grid = _Grid(candidates.centres[mine], frame, margin[mine])
+        paint = [GREY if np.isnan(value) else colors.to_rgba(value) for value in margin[mine]]
+        _draw(axes, grid.cells(), paint, grid.zero())
+    bar = axes.figure.colorbar(colors, ax=axes, shrink=0.7, pad=0.1, extend="both" if known.size else "neither")
+    bar.set_label("margin with a contact there [m/s]")
+    names = ("xlabel", "ylabel", "zlabel") if isinstance(axes, Axes3D) else ("xlabel", "ylabel")
+    axes.set(aspect="equal", **{name: f"{name[0]} [m]" for name in names})
+    return axes
+
+
+class _Grid:
+    """The candidates of one surface, which `candidates_on` puts on a grid."""
+
+    def __init__(self, centres: np.ndarray, frame: np.ndarray, margin: np.ndarray):
+        self._frame, self._centres, self._margin = frame, centres, margin
+        local = (centres - centres[0]) @ frame
+        self._height = centres[0]
+        self._x, self._y = (np.unique(np.round(local[:, k], 9)) for k in (0, 1))
+
+    def cells(self) -> np.ndarray:
+        """Corners of a cell around each candidate (m, 4, 3) [m]."""
+        steps = [np.diff(axis).min(initial=0.1) if len(axis) > 1 else 0.04 for axis in (self._x, self._y)]
+        corners = np.array([[1, 1, 0], [-1, 1, 0], [-1, -1, 0], [1, -1, 0]]) * [*steps, 0] / 2
+        return self._centres[:, None] + corners @ self._frame.T
+
+    def zero(self) -> list[np.ndarray]:
+        """Lines of zero margin, (k, 3) each [m]; none on a surface that is one row wide."""
+        shape = len(self._x), len(self._y)
+        if min(shape) < 2:
+            return []
+        field = np.ma.masked_invalid(self._margin.reshape(shape)).T
+        lines: Any = contour_generator(self._x, self._y, field).lines(0.0)
+        flat = lambda line: np.column_stack([line, np.zeros(len(line))])
+        return [self._height + flat(line) @ self._frame.T for line in lines]
+
+
+def _draw(axes: Any, cells: np.ndarray, paint: list, lines: list[np.ndarray]) -> None:
+    if isinstance(axes, Axes3D):
+        axes.add_collection3d(Poly3DCollection(cells, facecolors=paint, edgecolors=paint, linewidths=0.2, alpha=0.9))
+        axes.add_collection3d(Line3DCollection(lines, colors=DARK, linewidths=2, zorder=10))
+        low, high = cells.min(axis=(0, 1)), cells.max(axis=(0, 1))
+        axes.auto_scale_xyz(*np.stack([low, high], axis=1), had_data=axes.has_data())
+        return
+    for corners, color in zip(cells, paint, strict=True):
+        axes.fill(*corners[:, :2].T, facecolor=color, edgecolor=color, linewidth=0.2)
+    for line in lines:
+        axes.plot(*line[:, :2].T, color=DARK, linewidth=2)

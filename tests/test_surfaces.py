@@ -1,0 +1,61 @@
+"""Surfaces and the candidates on them."""
+
+import numpy as np
+import pytest
+from samplers import rotation
+
+from jaxcap.contacts.surfaces import box, candidates_on, rail, surface
+
+UP = np.eye(3)
+WALL = rotation(0, -np.pi / 2, 0)
+
+
+def test_a_grid_covers_the_surface_and_stays_on_it():
+    found = candidates_on([surface([1, 2, 3], WALL, 0.5, 0.3, 0.7)], 0.1, 0.05, 0.1)
+    assert len(found.centres) == 9 * 6
+    local = (found.contacts.points.reshape(-1, 3) - [1, 2, 3]) @ WALL
+    np.testing.assert_allclose(np.abs(local).max(axis=0), [0.5, 0.3, 0], atol=1e-12)
+    steps = np.unique(np.round((found.centres - [1, 2, 3]) @ WALL, 9)[:, 0])
+    np.testing.assert_allclose(np.diff(steps), 0.1)
+    np.testing.assert_array_equal(found.contacts.frames[..., 2], np.broadcast_to([-1, 0, 0], (54, 4, 3)).round())
+    assert (found.contacts.friction == 0.7).all()
+
+
+def test_a_rail_is_gripped_over_its_own_width():
+    found = candidates_on([rail([0, 0, 1], [0, 0.6, 1], [0, 0, 1], 0.02, 0.6)], 0.05, 0.05, 0.25)
+    np.testing.assert_allclose(found.centres, [[0, y, 1] for y in (0.05, 0.3, 0.55)])
+    assert np.ptp(found.contacts.points[..., 0]) == pytest.approx(0.04)
+
+
+def test_a_box_has_six_sides_that_face_outwards():
+    sides = box([1, 0, 0], rotation(0.1, 0.2, 0.3), [0.3, 0.2, 0.1], 0.5)
+    assert len(sides) == 6
+    for side in sides:
+        assert np.linalg.det(side.rotation) == pytest.approx(1)
+        outwards = (side.position - [1, 0, 0]) @ side.rotation
+        assert outwards[2] > 0 and np.abs(outwards[:2]).max() < 1e-12
+    areas = sum(4 * side.half_length * side.half_width for side in sides)
+    assert areas == pytest.approx(8 * (0.06 + 0.03 + 0.02))
+
+
+def test_surfaces_are_told_apart():
+    found = candidates_on([surface([0, 0, 0], UP, 0.1, 0.1, 0.5), *box([1, 0, 0], UP, [0.1] * 3, 0.5)], 0.1, 0.1, 0.5)
+    np.testing.assert_array_equal(found.surface, np.arange(7))
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: surface([0, 0, 0], UP, 0, 0.1, 0.5), r"half_length = 0 \(expected a positive number of metres\)"),
+        (lambda: surface([0, 0, 0], 2 * UP, 1, 0.1, 0.5), "is not a rotation"),
+        (lambda: rail([0, 0, 0], [0, 0, 0], [0, 0, 1], 0.1, 0.5), "start, end are 0.0 m apart"),
+        (lambda: rail([0, 0, 0], [1, 0, 0], [0, 0, 2], 0.1, 0.5), r"normal has length 2.000000 \(expected 1\)"),
+        (lambda: rail([0, 0, 0], [1, 0, 0], [1, 0, 0], 0.1, 0.5), "along the rail"),
+        (lambda: box([0, 0, 0], UP, [1, 0, 1], 0.5), "half_sizes"),
+        (lambda: candidates_on([], 0.1, 0.1, 0.1), "surfaces: none"),
+        (lambda: candidates_on([surface([0, 0, 0], UP, 1, 1, 0.5)], 0.1, 0.1, 0), "spacing = 0"),
+    ],
+)
+def test_what_cannot_be_is_named(make, words):
+    with pytest.raises(ValueError, match=words):
+        make()
