@@ -64,9 +64,8 @@ def main() -> None:
     axes.legend(loc="upper left")
     axes.view_init(elev=22, azim=-125)
     figure.savefig(options.output, dpi=110)
-    print(
-        f"{len(candidates.surface)} candidates, {int(found.capturable.sum())} with which the model can stop: {options.output}"
-    )
+    stops = int(found.capturable.sum())
+    print(f"{len(candidates.surface)} places, {stops} with which the model can stop: {options.output}")
 
 
 if __name__ == "__main__":

@@ -122,14 +122,15 @@ def test_friction_and_more_candidates_never_hurt():
 
 def test_the_latest_delay_is_where_the_verdict_changes():
     """And a shorter one never hurts."""
-    state = COMS[:1], VELOCITIES[:1]
-    found = jaxcap.next_contacts(FEET, *state, HANDS, 0.0, horizon=0.5)
+    state, steps = (COMS[:1], VELOCITIES[:1]), [foot(x, 0.05) for x in (-0.2, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6)]
+    found = jaxcap.next_contacts(FEET, *state, steps, 0.0, horizon=0.5)
     known = found.latest[0] < 0.5
     assert known.sum() >= 3
-    at = lambda delay: jaxcap.next_contacts(FEET, *state, HANDS, np.where(known, delay, 0)[None]).capturable[0]
+    at = lambda delay: jaxcap.next_contacts(FEET, *state, steps, np.where(known, delay, 0)[None]).capturable[0]
     latest = np.nan_to_num(found.latest[0])
     assert at(latest)[known].all() and at(latest / 2)[known].all() and not at(latest + 1e-4)[known].any()
     np.testing.assert_array_equal(np.isnan(found.latest), ~found.capturable)
+    assert np.isnan(found.latest).any()
 
 
 def test_a_bad_one_spoils_no_other():

@@ -175,6 +175,7 @@ QUICK: dict[str, tuple[str, ...]] = {
         "test_a_state_that_is_not_finite_is_undecided[faces",
         "test_wrong_shapes_are_type_errors",
     ),
+    "test_surface_files.py": ("",),
     "test_surfaces.py": ("",),
     "test_tsid_limits.py": ("",),
     "test_tsid_simulator.py": ("test_without_a_push_the_robot_has_stopped", "test_options_are_checked"),

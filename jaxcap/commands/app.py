@@ -5,6 +5,7 @@ from collections.abc import Callable, Sequence
 import tyro
 
 from jaxcap.commands.map import MAP, map_kernel
+from jaxcap.commands.next import NEXT, next_contact
 from jaxcap.commands.plot import PLOT, plot
 from jaxcap.commands.score import score
 from jaxcap.commands.score_help import SCORE
@@ -16,6 +17,7 @@ COMMANDS: dict[str, tuple[Callable[..., None], str]] = {
     "score": (score, SCORE),
     "view": (view, VIEW),
     "map": (map_kernel, MAP),
+    "next": (next_contact, NEXT),
     "plot": (plot, PLOT),
 }
 """The function, and the text of its help."""

@@ -58,13 +58,13 @@ def read_contact_sets(path: str | Path) -> ContactSets:
     Raises InputError naming file, entry and field. Raises MissingExtra for YAML without PyYAML.
     """
     path = Path(path)
-    document = _load(path)
+    document = load(path)
     if not isinstance(document, dict) or list(document) not in (["contacts"], ["sets"]):
-        found = f"keys {', '.join(map(repr, document)) or 'none'}" if isinstance(document, dict) else _shown(document)
+        found = f"keys {', '.join(map(repr, document)) or 'none'}" if isinstance(document, dict) else shown(document)
         raise InputError(f"{path}: {found} (expected a mapping with the one key 'contacts' or 'sets')")
     ((key, entries),) = document.items()
     if not isinstance(entries, list) or not entries:
-        raise InputError(f"{path}: {key}: {_shown(entries)} (expected a list of at least one entry)")
+        raise InputError(f"{path}: {key}: {shown(entries)} (expected a list of at least one entry)")
     if key == "contacts":
         return ContactSets((_set(f"{path}: ", entries),), (None,))
     named = [_named_set(f"{path}: sets[{i}]", entry) for i, entry in enumerate(entries)]
@@ -78,10 +78,10 @@ def read_contact_sets(path: str | Path) -> ContactSets:
 def _named_set(where: str, entry: Any) -> tuple[str | None, ContactSet]:
     """One entry of `sets`. where: file and index, for messages."""
     if not isinstance(entry, dict):
-        raise InputError(f"{where}: {_shown(entry)} (expected a mapping)")
+        raise InputError(f"{where}: {shown(entry)} (expected a mapping)")
     name = entry.get("name")
     if name is not None and not isinstance(name, str):
-        raise InputError(f"{where}: name = {_shown(name)} (expected text)")
+        raise InputError(f"{where}: name = {shown(name)} (expected text)")
     where = f"{where} ({name})" if name else where
     for key in entry:
         if key not in ("name", "contacts"):
@@ -89,7 +89,7 @@ def _named_set(where: str, entry: Any) -> tuple[str | None, ContactSet]:
     if "contacts" not in entry:
         raise InputError(f"{where}: no field 'contacts', which a set needs")
     if not isinstance(entry["contacts"], list):
-        raise InputError(f"{where}: contacts: {_shown(entry['contacts'])} (expected a list, empty for no contact)")
+        raise InputError(f"{where}: contacts: {shown(entry['contacts'])} (expected a list, empty for no contact)")
     return name, _set(f"{where}: ", entry["contacts"])
 
 
@@ -102,15 +102,15 @@ def _set(where: str, entries: list) -> ContactSet:
 def _contact(where: str, entry: Any) -> ContactSet:
     """One entry as contacts. where: file and index, for messages."""
     if not isinstance(entry, dict):
-        raise InputError(f"{where}: {_shown(entry)} (expected a mapping)")
+        raise InputError(f"{where}: {shown(entry)} (expected a mapping)")
     name, kind = entry.get("name"), entry.get("type")
     if name is not None and not isinstance(name, str):
-        raise InputError(f"{where}: name = {_shown(name)} (expected text)")
+        raise InputError(f"{where}: name = {shown(name)} (expected text)")
     where = f"{where} ({name})" if name else where
     if "type" not in entry:
         raise InputError(f"{where}: no field 'type' (expected {' or '.join(REQUIRED)})")
     if not isinstance(kind, str) or kind not in REQUIRED:
-        raise InputError(f"{where}: type = {_shown(kind)} (expected {' or '.join(REQUIRED)})")
+        raise InputError(f"{where}: type = {shown(kind)} (expected {' or '.join(REQUIRED)})")
     allowed = ("type", "name", "rotation", *REQUIRED[kind])
     for key in entry:
         if key not in allowed:
@@ -118,7 +118,7 @@ def _contact(where: str, entry: Any) -> ContactSet:
     for key in REQUIRED[kind]:
         if key not in entry:
             raise InputError(f"{where}: no field {key!r}, which a {kind} needs")
-    values = {key: _numbers(where, key, entry[key]) for key in SHAPES if key in entry}
+    values = {key: numbers(where, key, entry[key], SHAPES[key]) for key in SHAPES if key in entry}
     values.setdefault("rotation", np.eye(3))
     try:
         if kind == "rectangle":
@@ -130,20 +130,19 @@ def _contact(where: str, entry: Any) -> ContactSet:
         raise InputError(f"{where}: {message}") from error
 
 
-def _numbers(where: str, key: str, value: Any) -> Any:
+def numbers(where: str, key: str, value: Any, shape: tuple[int, ...]) -> Any:
     """A field as an array, or as a float where its shape is (). Raises InputError unless it holds finite numbers."""
-    shape = SHAPES[key]
     expected = f"{'x'.join(map(str, shape))} numbers" if shape else "a number"
     if not _all_numbers(value):
-        raise InputError(f"{where}: {key} = {_shown(value)} (expected {expected})")
+        raise InputError(f"{where}: {key} = {shown(value)} (expected {expected})")
     try:
         array = np.array(value, dtype=np.float64)
     except (ValueError, OverflowError):  # ragged, or an integer beyond any float
-        raise InputError(f"{where}: {key} = {_shown(value)} (expected {expected})") from None
+        raise InputError(f"{where}: {key} = {shown(value)} (expected {expected})") from None
     if array.shape != shape:
         raise InputError(f"{where}: {key} has shape {array.shape} (expected {expected})")
     if not np.isfinite(array).all():
-        raise InputError(f"{where}: {key} = {_shown(value)} (expected finite numbers)")
+        raise InputError(f"{where}: {key} = {shown(value)} (expected finite numbers)")
     return array if shape else float(array)
 
 
@@ -153,7 +152,7 @@ def _all_numbers(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool)
 
 
-def _load(path: Path) -> Any:
+def load(path: Path) -> Any:
     """What the file says, as dicts, lists, texts and numbers."""
     extension = path.suffix.lower()
     if extension not in EXTENSIONS:
@@ -217,7 +216,7 @@ def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     return dict(pairs)
 
 
-def _shown(value: Any) -> str:
+def shown(value: Any) -> str:
     """The value, cut to fit into one line."""
     text = repr(value)
     return text if len(text) <= 60 else text[:57] + "..."

@@ -51,7 +51,7 @@ def capture_region(
     for owner in np.unique(candidates.surface):
         mine = candidates.surface == owner
         frame = np.asarray(candidates.contacts.frames)[mine][0, 0]
-        grid = _Grid(candidates.centres[mine], frame, margin[mine])
+        grid = _Grid(candidates.centres[mine], frame, np.clip(margin[mine], -limit, limit))
         paint = [GREY if np.isnan(value) else colors.to_rgba(value) for value in margin[mine]]
         _draw(axes, grid.cells(), paint, grid.zero())
     bar = axes.figure.colorbar(colors, ax=axes, shrink=0.7, pad=0.1, extend="both" if known.size else "neither")

@@ -39,8 +39,9 @@ class NextContacts(NamedTuple):
     """
 
     margin: Float[np.ndarray, "*n m"]
-    """Of the state at touchdown with the new contact, as `Capturability.margin` [m/s]. NaN where no speed is left, where the
-    robot has lost its contacts or turned back by then, and for candidates out of reach."""
+    """Of the state at touchdown with the new contact, as `Capturability.margin` [m/s]: infinite where contacts can be squeezed
+    between each other as hard as one likes, such as a hand on a wall and feet on the floor. NaN where no speed is left, where
+    the robot has lost its contacts or turned back by then, and for candidates out of reach."""
     margin_without: Float[np.ndarray, "*n m"]
     """The same without it: what the new limb has to make up for, if negative [m/s]."""
     capturable: Bool[np.ndarray, "*n m"]
@@ -130,7 +131,8 @@ def next_contacts(
 
     Source: on flat ground the regions of Koolen et al., Capturability-based Analysis, IJRR 2012, of motions along one line.
     """
-    sets = _sets(contacts, _stacked(candidates), lifted, sides, gravity, actuation)
+    stacked = _stacked(candidates)
+    sets = _sets(contacts, stacked, lifted, sides, gravity, actuation)
     com, com_velocity = np.asarray(com), np.asarray(com_velocity)
     if com.ndim not in (1, 2) or com.shape[-1:] != (3,) or com_velocity.shape != com.shape:
         raise TypeError(
@@ -141,7 +143,7 @@ def next_contacts(
     delays = checked_times("delay", delay, shape if com.ndim == 2 else shape[1:])
     same = np.ndim(delay) == 0 and actuation is None
     delays = np.broadcast_to(np.asarray(delays), shape)[:, : 1 if same else None]
-    there = _reachable(reachable, shape, com.ndim) & np.any(np.asarray(sets.cones.mask)[:-1], axis=1)
+    there = _reachable(reachable, shape, com.ndim) & np.any(stacked.mask, axis=1)
     found = _answers(sets, coms, velocities, delays, there)
     if horizon is not None:
         found = found._replace(latest=_latest(sets, coms, velocities, float(checked_times("horizon", horizon, ())), there))

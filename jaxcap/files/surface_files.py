@@ -1,0 +1,84 @@
+"""Surface files: YAML or JSON lists of what a hand or a foot may be put on."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from jaxcap.contacts.surfaces import Surface, box, rail, surface
+from jaxcap.errors import InputError
+from jaxcap.files.contact_files import load, numbers, shown
+
+
+class _Kind(NamedTuple):
+    """How one type of surface is written, and made."""
+
+    make: Callable[..., Surface | list[Surface]]
+    shapes: dict[str, tuple[int, ...]]
+    """Of every field; `rotation` need not be there."""
+
+
+KINDS = {
+    "plane": _Kind(
+        surface, {"position": (3,), "rotation": (3, 3), "half_length": (), "half_width": (), "friction": ()}
+    ),
+    "rail": _Kind(rail, {"start": (3,), "end": (3,), "normal": (3,), "half_width": (), "friction": ()}),
+    "box": _Kind(box, {"position": (3,), "rotation": (3, 3), "half_sizes": (3,), "friction": ()}),
+}  # fmt: skip
+
+
+def read_surfaces(path: str | Path) -> list[Surface]:
+    """Reads a file of surfaces.
+
+    The file is a mapping with the key `surfaces`: a list of entries, each with a `type` and
+
+        plane  position, half_length, half_width, friction, and perhaps rotation     a part of a floor, a wall, a slope
+        rail   start, end, normal, half_width, friction                              pressed on against its normal
+        box    position, half_sizes, friction, and perhaps rotation                  its six sides
+
+    as `surface`, `rail` and `box` take them; all in the frame of the contacts. An entry may have a name, for messages.
+
+    Args:
+        path: .yaml, .yml or .json.
+
+    Returns:
+        The surfaces, in the file's order; six for a box.
+
+    Raises:
+        InputError: naming file, entry and field.
+        MissingExtra: for YAML without PyYAML.
+    """
+    path = Path(path)
+    document = load(path)
+    if not isinstance(document, dict) or list(document) != ["surfaces"]:
+        raise InputError(f"{path}: {shown(document)} (expected a mapping with the one key 'surfaces')")
+    entries = document["surfaces"]
+    if not isinstance(entries, list) or not entries:
+        raise InputError(f"{path}: surfaces: {shown(entries)} (expected a list of at least one entry)")
+    return [one for i, entry in enumerate(entries) for one in _made(f"{path}: surfaces[{i}]", entry)]
+
+
+def _made(where: str, entry: Any) -> list[Surface]:
+    """One entry. where: file and index, for messages."""
+    if not isinstance(entry, dict):
+        raise InputError(f"{where}: {shown(entry)} (expected a mapping)")
+    where = f"{where} ({entry['name']})" if isinstance(entry.get("name"), str) else where
+    name = entry.get("type")
+    if not isinstance(name, str) or name not in KINDS:
+        raise InputError(f"{where}: type = {shown(name)} (expected {' or '.join(KINDS)})")
+    kind = KINDS[name]
+    for key in entry:
+        if key not in ("type", "name", *kind.shapes):
+            raise InputError(f"{where}: unknown field {key!r} (expected {', '.join(kind.shapes)})")
+    for key in kind.shapes:
+        if key not in entry and key != "rotation":
+            raise InputError(f"{where}: no field {key!r}, which a {name} needs")
+    values = {key: numbers(where, key, entry[key], shape) for key, shape in kind.shapes.items() if key in entry}
+    if "rotation" in kind.shapes:
+        values.setdefault("rotation", np.eye(3))
+    try:
+        made = kind.make(**values)
+    except ValueError as error:
+        raise InputError(f"{where}: {error}") from error
+    return [made] if isinstance(made, Surface) else made

@@ -1,0 +1,70 @@
+"""`jaxcap next`: what it writes is what the library says, and bad input is named."""
+
+import json
+
+import numpy as np
+import pytest
+
+import jaxcap
+from jaxcap.commands.cli import main
+from jaxcap.files.contact_files import read_contacts
+from jaxcap.files.surface_files import read_surfaces
+
+FEET = """contacts:
+  - {type: rectangle, position: [0, 0.1, 0], half_length: 0.1, half_width: 0.05, friction: 0.6}
+  - {type: rectangle, position: [0, -0.1, 0], half_length: 0.1, half_width: 0.05, friction: 0.6}
+"""
+ROOM = """surfaces:
+  - {type: plane, position: [0.7, 0, 1], rotation: [[0, 0, -1], [0, 1, 0], [1, 0, 0]],
+     half_length: 0.3, half_width: 0.3, friction: 0.6}
+"""
+
+
+@pytest.fixture
+def given(tmp_path):
+    """Arguments of the command, by file."""
+    (tmp_path / "feet.yaml").write_text(FEET)
+    (tmp_path / "room.yaml").write_text(ROOM)
+    coms, velocities = np.array([[0.05, 0, 0.85], [0, 0, 0.85]]), np.array([[0.6, 0.1, 0], [0.1, 0, 0]])
+    np.savez(tmp_path / "states.npz", com=coms, com_velocity=velocities)
+    command = ["next", str(tmp_path / "states.npz"), "--contacts", str(tmp_path / "feet.yaml")]
+    return [*command, "--surfaces", str(tmp_path / "room.yaml"), "--delay", "0.1", "-o", str(tmp_path / "out.npz")]
+
+
+def test_what_is_written_is_what_the_library_says(given, tmp_path, capsys):
+    assert main([*given, "--spacing", "0.5"]) == 0
+    assert "2 states, 4 places" in capsys.readouterr().out
+    candidates = jaxcap.candidates_on(read_surfaces(tmp_path / "room.yaml"), 0.06, 0.05, 0.5)
+    states = np.load(tmp_path / "states.npz")
+    coms, velocities = (states[name].astype(np.float32) for name in ("com", "com_velocity"))
+    found = jaxcap.next_contacts(read_contacts(tmp_path / "feet.yaml"), coms, velocities, candidates.contacts, 0.1)
+    with np.load(tmp_path / "out.npz") as out:
+        for name in ("margin", "margin_without", "capturable", "best", "progress", "status"):
+            np.testing.assert_array_equal(out[name], getattr(found, name))
+        np.testing.assert_array_equal(out["centres"], candidates.centres)
+        np.testing.assert_allclose(out["normals"], np.tile([-1, 0, 0], (4, 1)), atol=1e-12)
+        assert json.loads(str(out["metadata"]))["delay"] == 0.1
+    assert main(given) == 2 and "exists already" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (("--delay", "-0.1"), "--delay = -0.1 (expected a finite number of seconds, not negative)"),
+        (("--spacing", "0"), "--spacing = 0"),
+        (("--sides", "2"), "--sides 2"),
+        (("--lifted", "9"), "--lifted[0] = 9"),
+        (("-o", "out.csv"), "unknown extension"),
+        (("--surfaces", "nowhere.yaml"), "nowhere.yaml: no such file"),
+    ],
+)
+def test_what_cannot_be_is_named(given, change, words, capsys, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    assert main([*given, *change]) == 2
+    assert words in capsys.readouterr().err
+    assert not (tmp_path / "out.npz").exists()
+
+
+def test_help(capsys):
+    main(["next", "--help"])
+    assert "SURFACES is YAML" in capsys.readouterr().out
