@@ -33,10 +33,10 @@ def feet() -> jaxcap.ContactSet:
 
 
 def surfaces() -> list[jaxcap.Surface]:
-    """Floor, wall and rail."""
+    """Wall, floor and rail."""
     return [
+        jaxcap.surface([0.8, 0, 0.8], WALL, 0.8, 0.7, 0.6),  # behind the floor, as the picture is seen
         jaxcap.surface([0.35, 0, 0], np.eye(3), 0.45, 0.7, 0.5),
-        jaxcap.surface([0.8, 0, 0.8], WALL, 0.8, 0.7, 0.6),
         jaxcap.rail([0.0, 0.65, 0.9], [0.75, 0.65, 0.9], [0, 0, 1], 0.03, 0.6),
     ]
 
@@ -50,7 +50,7 @@ def main() -> None:
     found = jaxcap.next_contacts(feet(), COM, VELOCITY, candidates.contacts, DELAY)
     figure = Figure(figsize=(8.4, 6.2), layout="compressed")
     FigureCanvasAgg(figure)
-    axes = figure.add_subplot(projection="3d")
+    axes = figure.add_subplot(projection="3d", computed_zorder=False)
     capture_region(candidates, found.margin, ax=axes)
     for corners in patches(feet()):
         axes.plot(*np.vstack([corners, corners[:1]]).T, color="black", zorder=20)

@@ -125,9 +125,9 @@ def next_contact(
     figures: dict[str, Any] = {name: getattr(found, name) for name in WRITTEN}
     figures |= {name: figures[name].astype(dtype) for name in ("margin", "margin_without")}
     normals = np.asarray(candidates.contacts.frames)[:, 0, :, 2]
-    places = {"centres": candidates.centres, "normals": normals, "surface": candidates.surface}
+    figures |= {"centres": candidates.centres, "normals": normals, "surface": candidates.surface}
     with whole_file(output, force=force) as handle:
-        np.savez(handle, metadata=json.dumps(metadata), **places, **figures)
+        np.savez(handle, **figures, metadata=json.dumps(metadata))
     n, m = found.margin.shape
     saved = int(found.capturable.any(axis=1).sum())
     print(f"{output}: {n:,} states, {m:,} places on {surfaces}; {saved:,} states with one after which the model can stop")

@@ -16,12 +16,10 @@ from jaxcap.plotting.style import DARK, GREY, axes_or_new
 
 COLORS = "PuOr"
 """Colours of margins: told apart by colour-blind readers, pale where the sign changes."""
-LEAST = 0.05
-"""The scale of colours reaches at least so far either way [m/s]."""
 
 
 def capture_region(
-    candidates: Candidates, margin: Float[np.ndarray, "m"], *, limit: float | None = None, ax: Axes | None = None
+    candidates: Candidates, margin: Float[np.ndarray, "m"], *, limit: float = 1.0, ax: Axes | None = None
 ) -> Axes:
     """The margin of every candidate, painted where it is, and the line where it is zero: inside, the robot can stop.
 
@@ -30,7 +28,7 @@ def capture_region(
     Args:
         candidates: From `candidates_on`.
         margin: (m,) of each, as `NextContacts.margin` [m/s]; where it is NaN the surface is grey.
-        limit: The colours end at plus and minus this margin [m/s]; by default at the largest there is.
+        limit: The colours end at plus and minus this margin [m/s]: many are infinite.
         ax: Axes to draw into, of two or three dimensions; by default new ones of three.
 
     Returns:
@@ -42,11 +40,11 @@ def capture_region(
     margin = np.asarray(margin, float)
     if margin.shape != candidates.surface.shape:
         raise ValueError(f"margin has shape {margin.shape} (expected {candidates.surface.shape}: one for each candidate)")
-    known = margin[np.isfinite(margin)]
-    limit = max(LEAST, float(np.abs(known).max(initial=0))) if limit is None else limit
     if not limit > 0:
         raise ValueError(f"limit = {limit} (expected a positive number of m/s)")
     axes: Any = axes_or_new(None, (6.8, 5.6), "3d") if ax is None else ax
+    if ax is None:
+        axes.computed_zorder = False  # lines on a surface, whatever the depth of its middle
     colors = ScalarMappable(TwoSlopeNorm(0, -limit, limit), COLORS)
     for owner in np.unique(candidates.surface):
         mine = candidates.surface == owner
@@ -54,7 +52,7 @@ def capture_region(
         grid = _Grid(candidates.centres[mine], frame, np.clip(margin[mine], -limit, limit))
         paint = [GREY if np.isnan(value) else colors.to_rgba(value) for value in margin[mine]]
         _draw(axes, grid.cells(), paint, grid.zero())
-    bar = axes.figure.colorbar(colors, ax=axes, shrink=0.7, pad=0.1, extend="both" if known.size else "neither")
+    bar = axes.figure.colorbar(colors, ax=axes, shrink=0.7, pad=0.1, extend="both")
     bar.set_label("margin with a contact there [m/s]")
     names = ("xlabel", "ylabel", "zlabel") if isinstance(axes, Axes3D) else ("xlabel", "ylabel")
     axes.set(aspect="equal", **{name: f"{name[0]} [m]" for name in names})
@@ -90,7 +88,8 @@ class _Grid:
 def _draw(axes: Any, cells: np.ndarray, paint: list, lines: list[np.ndarray]) -> None:
     if isinstance(axes, Axes3D):
         axes.add_collection3d(Poly3DCollection(cells, facecolors=paint, edgecolors=paint, linewidths=0.2, alpha=0.9))
-        axes.add_collection3d(Line3DCollection(lines, colors=DARK, linewidths=2, zorder=10))
+        if lines:
+            axes.add_collection3d(Line3DCollection(lines, colors=DARK, linewidths=2, zorder=10))
         low, high = cells.min(axis=(0, 1)), cells.max(axis=(0, 1))
         axes.auto_scale_xyz(*np.stack([low, high], axis=1), had_data=axes.has_data())
         return

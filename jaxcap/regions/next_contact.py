@@ -39,9 +39,9 @@ class NextContacts(NamedTuple):
     """
 
     margin: Float[np.ndarray, "*n m"]
-    """Of the state at touchdown with the new contact, as `Capturability.margin` [m/s]: infinite where contacts can be squeezed
-    between each other as hard as one likes, such as a hand on a wall and feet on the floor. NaN where no speed is left, where
-    the robot has lost its contacts or turned back by then, and for candidates out of reach."""
+    """Of the state at touchdown with the new contact, as `Capturability.margin` [m/s]: infinite where contacts can press
+    against each other as hard as one likes, such as a hand on a wall and feet on the floor. NaN where no speed is left,
+    where the robot has lost its contacts or turned back by then, and for what is out of reach."""
     margin_without: Float[np.ndarray, "*n m"]
     """The same without it: what the new limb has to make up for, if negative [m/s]."""
     capturable: Bool[np.ndarray, "*n m"]
