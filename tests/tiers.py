@@ -23,6 +23,7 @@ QUICK: dict[str, tuple[str, ...]] = {
         "test_fields_have_their_types",
         "test_importing_costs_no_extra",
     ),
+    "test_capture_region.py": ("",),
     "test_capture_point.py": (
         "test_capture_point_by_hand",
         "test_at_rest_the_capture_point_is_the_com",

@@ -118,7 +118,7 @@ def _check_shapes(cone: CentroidalCone | ConeRays, com: Any, velocity: Any) -> N
 
 
 def _of_rows(cone: Cone, states: tuple[Any, Any, Any], gravity: ArrayLike) -> Moved:
-    coms, velocities, durations = (jnp.asarray(x) for x in states)
+    coms, velocities, durations = states
     own = cone if isinstance(cone, ConeRays | ActuatedRays) and cone.batched else None
     common = None if own is not None else cone if isinstance(cone, ActuatedRays) else padded_cone(cone)
     rows = _Rows(coms, velocities, durations, own)

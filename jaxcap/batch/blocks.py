@@ -13,6 +13,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from jaxcap.contacts.cone import CentroidalCone, ConeRays
 from jaxcap.numerics.whole import ceil_div, round_up
@@ -39,7 +40,13 @@ def over_blocks(run: Callable[[int], Any], n: int, block: int) -> Any:
     """
     first, *starts = range(0, max(n, 1), block)
     parts = [run(first), *side_by_side(run, starts)]
-    return jax.tree.map(lambda *fields: jnp.concatenate(fields)[:n], *parts)
+    return jax.tree.map(lambda *fields: _joined(fields, n), *parts)
+
+
+def _joined(fields: tuple[Any, ...], n: int) -> Any:
+    """One block's rows are taken as they are: each operation by itself takes as long as the answer for a state."""
+    rows = jnp.asarray(fields[0]) if len(fields) == 1 else jnp.concatenate(fields)
+    return rows if len(rows) == n else rows[:n]
 
 
 def side_by_side(run: Callable[[Any], Any], items: Iterable, ahead: int = sys.maxsize) -> Iterator:
@@ -73,7 +80,8 @@ def block_of(rows: Any, n: int, start: int, block: int, shares: int = 1) -> Any:
     count = ceil_div(min(block, n - start), shares)
     most = block // shares
     size = most if start else min(most, max(LANES, 1 << max(count - 1, 0).bit_length()))
-    return padded(jax.tree.map(lambda leaf: leaf[start : start + block], rows), shares * size)
+    cut = lambda leaf: leaf if len(leaf) <= block else leaf[start : start + block]
+    return padded(jax.tree.map(cut, rows), shares * size)
 
 
 def over_chunks(one: Callable, rows: Any, lanes: int = LANES) -> Any:
@@ -87,4 +95,5 @@ def over_chunks(one: Callable, rows: Any, lanes: int = LANES) -> Any:
 
 def padded(rows: Any, size: int) -> Any:
     """With rows of zeros, up to this number."""
-    return jax.tree.map(lambda x: jnp.pad(x, ((0, size - len(x)), *[(0, 0)] * (x.ndim - 1))), rows)
+    pad = lambda x: (np if isinstance(x, np.ndarray) else jnp).pad(x, ((0, size - len(x)), *[(0, 0)] * (x.ndim - 1)))
+    return jax.tree.map(lambda x: x if len(x) == size else pad(x), rows)

@@ -12,6 +12,8 @@ from jaxtyping import Float, Int
 from jaxcap.contacts.contact_set import ContactSet, rectangle
 from jaxcap.contacts.conventions import ROTATION_ERROR, ArrayLike
 
+Number = float | int
+
 
 class Surface(NamedTuple):
     """A flat rectangle that can be touched from the side that its normal points to; see `surface`."""
@@ -39,7 +41,7 @@ class Candidates(NamedTuple):
 
 
 def surface(
-    position: ArrayLike, rotation: ArrayLike, half_length: float, half_width: float, friction: float
+    position: ArrayLike, rotation: ArrayLike, half_length: Number, half_width: Number, friction: Number
 ) -> Surface:  # fmt: skip
     """A part of a floor, a wall or a slope.
 
@@ -57,10 +59,12 @@ def surface(
         ValueError: naming the field, as `rectangle`: for a size of zero, or a rotation that is none.
     """
     rectangle(position, rotation, half_length, half_width, friction)  # what it refuses is refused
-    return Surface(np.asarray(position, float), np.asarray(rotation, float), half_length, half_width, friction)
+    return Surface(
+        np.asarray(position, float), np.asarray(rotation, float), float(half_length), float(half_width), float(friction)
+    )
 
 
-def rail(start: ArrayLike, end: ArrayLike, normal: ArrayLike, half_width: float, friction: float) -> Surface:
+def rail(start: ArrayLike, end: ArrayLike, normal: ArrayLike, half_width: Number, friction: Number) -> Surface:
     """A rail that a hand can press on from one side.
 
     Args:
@@ -89,7 +93,7 @@ def rail(start: ArrayLike, end: ArrayLike, normal: ArrayLike, half_width: float,
     return surface((start + end) / 2, rotation, length / 2, half_width, friction)
 
 
-def box(position: ArrayLike, rotation: ArrayLike, half_sizes: ArrayLike, friction: float) -> list[Surface]:
+def box(position: ArrayLike, rotation: ArrayLike, half_sizes: ArrayLike, friction: Number) -> list[Surface]:
     """The six sides of a box.
 
     Args:
@@ -117,7 +121,7 @@ def box(position: ArrayLike, rotation: ArrayLike, half_sizes: ArrayLike, frictio
     return sides
 
 
-def candidates_on(surfaces: Sequence[Surface], half_length: float, half_width: float, spacing: float) -> Candidates:
+def candidates_on(surfaces: Sequence[Surface], half_length: Number, half_width: Number, spacing: Number) -> Candidates:
     """A grid of places for a hand or a foot on surfaces, each with its four corners on them.
 
     Args:

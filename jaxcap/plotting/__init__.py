@@ -16,7 +16,7 @@ with needs_extra("plots", "drawing"):
     from jaxcap.plotting.areas import velocity_areas as velocity_areas
     from jaxcap.plotting.areas_of_maps import map_areas as map_areas
     from jaxcap.plotting.areas_of_maps import weakest as weakest
-    from jaxcap.plotting.capture_region import capture_region as capture_region
+    from jaxcap.plotting.candidates_in_space import capture_region as capture_region
     from jaxcap.plotting.kernels import kernel_slice as kernel_slice
     from jaxcap.plotting.over_time import timeline as timeline
     from jaxcap.plotting.patches import footprint as footprint

@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Int8
 
 from jaxcap.batch.advance import advance, checked_times
+from jaxcap.batch.blocks import LANES
 from jaxcap.batch.score import score
 from jaxcap.contacts.actuation import Actuation
 from jaxcap.contacts.cone import ConeRays, cone_rays
@@ -225,11 +226,14 @@ def _scored(sets: _Sets, touchdown: _Touchdown, without: bool) -> tuple[np.ndarr
 
 def _scored_pairs(sets: _Sets, touchdown: _Touchdown, which: np.ndarray, state: np.ndarray) -> tuple[np.ndarray, ...]:
     """which: the set of each pair. state: its row in the states at touchdown."""
+    # The last again and again, to a size of a block: what JAX would cut and pad takes longer than the answer.
+    p = len(which)
+    which, state = (np.pad(x, (0, max(LANES, 1 << (p - 1).bit_length()) - p), mode="edge") for x in (which, state))
     coms, velocities = (field.reshape(-1, 3)[state] for field in (touchdown.coms, touchdown.com_velocities))
     cones = jax.tree.map(lambda leaf: leaf[which], sets.cones)
     limits = None if sets.actuation is None else jax.tree.map(lambda leaf: leaf[state % sets.candidates], sets.actuation)
     found = score(cones, coms, velocities, sets.gravity, actuation=limits)
-    return tuple(np.asarray(field) for field in (found.margin, found.capturable, found.case, found.status))
+    return tuple(np.asarray(field)[:p] for field in (found.margin, found.capturable, found.case, found.status))
 
 
 def _sets(
@@ -252,7 +256,8 @@ def _sets(
         rows = len(actuation.limit) if actuation.batched else 1
         raise TypeError(f"actuation is of {rows} postures (expected a batch, one for each of {m} candidates)")
     # A gather in NumPy is several times as fast as one by JAX, eagerly.
-    return _Sets(ConeRays(*map(np.asarray, cones)), cone_rays(during, sides), gravity, actuation)
+    cones = ConeRays(*map(np.asarray, cones))
+    return _Sets(cones, ConeRays(*(leaf[-1] for leaf in cones)), gravity, actuation)
 
 
 def _stacked(candidates: Any) -> ContactSet:
