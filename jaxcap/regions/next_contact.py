@@ -9,6 +9,7 @@ answer ranks candidates and rules them out, and only with `actuation` it says `s
 """
 
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import jax
@@ -29,6 +30,8 @@ PAIRS = 1 << 15
 """Of state and candidate, scored at a time: their rays take 40 MB in single precision for two feet and a hand."""
 HALVINGS = 14
 """Of the horizon, in the search for the latest delay: a second is cut to 0.06 ms."""
+MOST_KEPT = 1 << 20
+"""Bytes of contacts whose rays are kept for the next call: eight hundred candidates of a hand beside two feet."""
 NONE = -1
 """The best candidate where there is none."""
 
@@ -77,6 +80,14 @@ class _Sets(NamedTuple):
     def candidates(self) -> int:
         """How many."""
         return len(self.cones.rays) - 1
+
+
+class _Field(NamedTuple):
+    """An array by its contents."""
+
+    data: bytes
+    shape: tuple[int, ...]
+    dtype: str
 
 
 class _Touchdown(NamedTuple):
@@ -251,13 +262,29 @@ def _sets(
     with_none = jax.tree.map(lambda leaf: np.concatenate([leaf, leaf[-1:]]), candidates)
     with_none.mask[-1] = False
     join = lambda now, new: np.concatenate([now, new], axis=1)
-    cones = cone_rays(jax.tree.map(join, repeated, with_none), sides)
+    cones = _rays_of(jax.tree.map(join, repeated, with_none), sides)
     if actuation is not None and (not actuation.batched or len(actuation.limit) != m):
         rows = len(actuation.limit) if actuation.batched else 1
         raise TypeError(f"actuation is of {rows} postures (expected a batch, one for each of {m} candidates)")
-    # A gather in NumPy is several times as fast as one by JAX, eagerly.
-    cones = ConeRays(*map(np.asarray, cones))
     return _Sets(cones, ConeRays(*(leaf[-1] for leaf in cones)), gravity, actuation)
+
+
+def _rays_of(contacts: ContactSet, sides: int) -> ConeRays:
+    """Their rays, in NumPy, where to gather is several times as fast. In a loop of control the candidates are the same again
+    and again, and to make their rays takes as long as to score them: those of few sets are kept, by their contents.
+    """
+    leaves = jax.tree.leaves(contacts)
+    if sum(leaf.nbytes for leaf in leaves) > MOST_KEPT:
+        return ConeRays(*map(np.asarray, cone_rays(contacts, sides)))
+    fields = tuple(_Field(leaf.tobytes(), leaf.shape, leaf.dtype.str) for leaf in leaves)
+    return _kept_rays(fields, sides, bool(jax.config.jax_enable_x64))  # type: ignore[attr-defined]
+
+
+@lru_cache(maxsize=8)
+def _kept_rays(fields: tuple[_Field, ...], sides: int, x64: bool) -> ConeRays:
+    """x64: the precision in which JAX makes them now."""
+    leaves = (np.frombuffer(field.data, field.dtype).reshape(field.shape) for field in fields)
+    return ConeRays(*map(np.asarray, cone_rays(ContactSet.unchecked(*leaves), sides)))
 
 
 def _stacked(candidates: Any) -> ContactSet:
