@@ -56,7 +56,8 @@ QUANTITIES
   min_speed and max_speed, the capturable speeds along each direction [m/s],
   are exact and need no speed: they are the whole kernel, and what is mapped
   where no speed is given. Otherwise capturable, margin and case.
-  --quantity NAME, perhaps several times: any column that jaxcap score writes but effort.
+  --quantity NAME, perhaps several times: any column that jaxcap score writes
+  but effort.
 
 OUT
   .zarr  Zarr, written piece by piece: may be larger than memory. While it grows
