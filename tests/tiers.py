@@ -44,8 +44,10 @@ QUICK: dict[str, tuple[str, ...]] = {
         "test_help_names_the_columns",
     ),
     "test_cli_cache.py": (
+        "test_a_folder",
+        "test_python_keeps",
         "test_a_map_is_computed_with_the_cache",
-        "test_without_the_option_nothing_is_kept",
+        "test_nothing_is_kept",
         "test_settings_are_put_back_after_an_error",
         "test_a_directory_that_cannot_be_written",
         "test_help_names_the_option",
