@@ -10,6 +10,9 @@ import jax
 import platformdirs
 from jax.experimental.compilation_cache.compilation_cache import reset_cache
 
+FOLDER = "jax_compilation_cache_dir"
+"""JAX's setting that names the folder; None: nothing is kept."""
+
 WORTH_KEEPING = 0.5
 """Programs that take longer to compile are kept [s]."""
 
@@ -62,7 +65,7 @@ def usable(directory: str | Path | None) -> Path:
 
 def _settings(directory: Path) -> dict[str, object]:
     return {
-        "jax_compilation_cache_dir": str(directory),
+        FOLDER: str(directory),
         "jax_persistent_cache_min_compile_time_secs": WORTH_KEEPING,
         "jax_enable_compilation_cache": True,
     }

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import jax
 
-from jaxcap.batch.kept_programs import programs_kept, usable
+from jaxcap.batch.kept_programs import FOLDER, programs_kept, usable
 from jaxcap.errors import InputError
 
 
@@ -21,7 +21,7 @@ def compilation_cache(directory: Path | None, no_cache: bool = False) -> Iterato
     """
     if directory is not None and no_cache:
         raise InputError(f"--cache {directory}: both --cache and --no-cache (expected one of them)")
-    if no_cache or (directory is None and jax.config.read("jax_compilation_cache_dir")):
+    if no_cache or (directory is None and getattr(jax.config, FOLDER)):
         yield
         return
     try:
