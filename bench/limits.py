@@ -31,7 +31,7 @@ HOLDING = 1e-7
 
 def line(scenario: str, joints: str, dtype: str, options: argparse.Namespace) -> dict:
     """One line of the table."""
-    some = limited(read(DATA / f"{scenario}.parquet", FIRST), joints)
+    some = limited(read(DATA / f"{scenario}.parquet", max(FIRST, options.check)), joints)
     many = some.repeated(options.states).cast(dtype)
     rays = jax.tree.map(np.asarray, jaxcap.cone_rays(many.contacts))
     timed = in_turn(
