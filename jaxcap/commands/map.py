@@ -56,7 +56,8 @@ QUANTITIES
   min_speed and max_speed, the capturable speeds along each direction [m/s],
   are exact and need no speed: they are the whole kernel, and what is mapped
   where no speed is given. Otherwise capturable, margin and case.
-  --quantity NAME, perhaps several times: any column that jaxcap score writes but effort.
+  --quantity NAME, perhaps several times: any column that jaxcap score writes
+  but effort.
 
 OUT
   .zarr  Zarr, written piece by piece: may be larger than memory. While it grows
@@ -75,9 +76,10 @@ NOTES
   --strict that is an error, and nothing is written.
 
 COMPILING
-  Takes seconds, once a run. With --cache DIR the programs are kept in DIR,
-  which is made if need be, and the next run takes them from there. They are
-  code: use no DIR that is written to by anyone whom you do not trust.
+  Takes seconds, once: the programs are kept in your cache folder, or in DIR
+  with --cache DIR, and the next run takes them from there. They are code: use
+  no DIR that is written to by anyone whom you do not trust. --no-cache turns
+  it off.
 
 EXIT CODES
   0 done; 2 bad input, and one line says which; 130 interrupted.
@@ -94,6 +96,7 @@ def map_kernel(
     dtype: Literal["float32", "float64"] = "float32",
     sides: int = 4,
     cache: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
+    no_cache: bool = False,
     strict: bool = False,
     force: bool = False,
 ) -> None:
@@ -108,7 +111,8 @@ def map_kernel(
         quantity: What to map; as often as needed.
         dtype: Precision of the computation and of the figures written.
         sides: Edges of the pyramid that replaces each friction cone, at least 3.
-        cache: Keep compiled programs in this directory.
+        cache: Keep compiled programs in this directory, not in your cache folder.
+        no_cache: Keep none and take none.
         strict: What is hardly plausible is an error, not a note.
         force: Overwrite OUT if it exists.
     """
@@ -125,7 +129,7 @@ def map_kernel(
         raise InputError(f"--strict: {'; '.join(notes)}")
     start = time.perf_counter()
     try:
-        with jax.enable_x64(dtype == "float64"), compilation_cache(cache):
+        with jax.enable_x64(dtype == "float64"), compilation_cache(cache, no_cache):
             options: dict[str, Any] = {"sides": sides, "dtype": dtype, "force": force, "progress": True}
             computed = write_map(output, stance, axes, quantity or None, **options)
     except (KeyboardInterrupt, SystemExit):

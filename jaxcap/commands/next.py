@@ -90,6 +90,7 @@ def next_contact(
     dtype: Literal["float32", "float64"] = "float32",
     sides: int = 4,
     cache: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
+    no_cache: bool = False,
     force: bool = False,
 ) -> None:
     """Finds and writes them; see NEXT.
@@ -108,7 +109,8 @@ def next_contact(
         lifted: Rows of the contacts, from 0, that bear nothing from now on; a rectangle has four.
         dtype: Precision of the computation and of the figures written.
         sides: Edges of the pyramid that replaces each friction cone, at least 3.
-        cache: Keep compiled programs in this directory.
+        cache: Keep compiled programs in this directory, not in your cache folder.
+        no_cache: Keep none and take none.
         force: Overwrite OUT if it exists.
     """
     if sides < 3:
@@ -117,7 +119,7 @@ def next_contact(
     stance = read_contacts(contacts)
     candidates = _candidates(surfaces, half_length, half_width, spacing)
     start = time.perf_counter()
-    with jax.enable_x64(dtype == "float64"), compilation_cache(cache):
+    with jax.enable_x64(dtype == "float64"), compilation_cache(cache, no_cache):
         options: dict[str, Any] = {"lifted": lifted or None, "sides": sides}
         found = _found(states, stance, candidates, delay, dtype, options)
     seconds = time.perf_counter() - start

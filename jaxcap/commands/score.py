@@ -53,6 +53,7 @@ def score(
     mass: Annotated[float | None, tyro.conf.arg(metavar="M")] = None,
     point_mass: bool = False,
     cache: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
+    no_cache: bool = False,
     strict: bool = False,
     force: bool = False,
 ) -> None:
@@ -75,7 +76,8 @@ def score(
         height: CoM height for the capture point [m]; by default that above the contacts of each row.
         mass: Of the robot [kg]: the column angular_momentum counts then. With --robot the robot's by default.
         point_mass: With --robot, neither its torque limits nor its angular momentum count: the paper's model.
-        cache: Keep compiled programs in this directory.
+        cache: Keep compiled programs in this directory, not in your cache folder.
+        no_cache: Keep none and take none.
         strict: What is hardly plausible is an error, not a note.
         force: Overwrite OUT if it exists.
     """
@@ -87,7 +89,7 @@ def score(
         states_of_log(states, robot, log, output, strict) as (file, whose),
         nullcontext(counted(whose, point_mass, mass)) as known,
         read_states(file, rows := known.rows(batch_size), np.float64, known.mass) as source,
-        compilation_cache(cache),
+        compilation_cache(cache, no_cache),
     ):
         if known.words:
             print(f"note: {states}: {known.words}", file=sys.stderr)
