@@ -115,7 +115,9 @@ def next_contact(
     """
     if sides < 3:
         raise InputError(f"--sides {sides} (expected at least 3)")
-    check_output(output, force=force, inputs=(states, contacts, surfaces), extensions=(".npz", ".npz"))
+    if output.suffix.lower() != ".npz":
+        raise InputError(f"{output}: unknown extension {output.suffix!r} (expected .npz)")
+    check_output(output, force=force, inputs=(states, contacts, surfaces))
     stance = read_contacts(contacts)
     candidates = _candidates(surfaces, half_length, half_width, spacing)
     start = time.perf_counter()
