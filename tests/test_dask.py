@@ -114,3 +114,21 @@ def test_workers_that_are_different_are_refused_by_name(dataset, tmp_path):
         told = refused(jaxcap(*scoring(dataset, tmp_path / "out", "--dask", dask.address)))
         assert "has 2 task threads (expected 1: dask worker --nthreads 1)" in told
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.slow
+def test_a_map_is_the_same_when_a_worker_is_killed(tmp_path):
+    """And by spawned processes."""
+    contacts = write_contacts(tmp_path / "feet.yaml")
+    axes = ["--axis=com_x=0:0.1:3", "--axis=com_y=0", "--axis=heading=0:90deg:2", "--axis=friction=0.3:0.8:150"]
+    mapping = lambda name, *options: ["map", contacts, "-o", tmp_path / f"{name}.zarr", *axes, *options]
+    finished(jaxcap(*mapping("one")))
+    finished(jaxcap(*mapping("processes", "--jobs", "2")))
+    journal = tmp_path / "dask.zarr.partial" / "journal"
+    with DaskCluster(tmp_path) as dask:
+        run = jaxcap(*mapping("dask", "--dask", dask.address))
+        until(lambda: journal.exists() and journal.stat().st_size, run)
+        kill(dask.workers[0])
+        assert journal.exists(), "it was not killed in time"
+        finished(run)
+    assert tree(tmp_path / "one.zarr") == tree(tmp_path / "processes.zarr") == tree(tmp_path / "dask.zarr")
