@@ -9,10 +9,10 @@ import pytest
 
 pytest.importorskip("distributed")
 
-from dask_cluster import DaskCluster, jaxcap, kill, until
 from state_files import states, vectors, write_contacts
 from test_score_folder import tree
 
+from bench.dask_cluster import DaskCluster, jaxcap, kill, until
 from jaxcap.engine.cluster import cluster
 from jaxcap.errors import InputError
 

@@ -1,4 +1,4 @@
-"""A Dask cluster of real processes, for tests: a scheduler and workers, each started as a command."""
+"""A Dask cluster of real processes, for tests and measurements: a scheduler and workers, each started as a command."""
 
 import os
 import signal
