@@ -2,11 +2,11 @@
 
     python -m bench.engine [--files N] [--rows N] [--workers N]
 
-200 files of 50,000 rows by default, float32, one contact set. Programs are compiled before, and kept in a folder that all
-share. Seconds are those of the whole command without starting Python; `of one file` is the throughput over that of the one file
-in one process, which uses all cores. Then a worker is killed at a third, and the scheduler at two thirds, and the command is
-given again: the bytes have to be those of one process. At the end, what 10^10 states on 64 workers come to by these costs, on
-paper.
+200 files of 50,000 rows by default, float32, one contact set. Programs are compiled before, and kept in a folder that
+all share. Seconds are those of the whole command without starting Python; `of one file` is the throughput over that of
+the one file in one process, which uses all cores. Then a worker is killed at a third, and the scheduler at two thirds,
+and the command is given again: the bytes have to be those of one process. At the end, what 10^10 states on 64 workers
+come to by these costs, on paper.
 """
 
 import argparse
@@ -133,7 +133,7 @@ def on_paper(job: Job, files: int, alone: Line, unit: float) -> str:
     compute, scheduler = PAPER_STATES * per_state / PAPER_WORKERS, units * unit
     traffic = PAPER_STATES * (read + written) / compute
     return (
-        f"on paper, 10^10 states in {units:.3g} files on {PAPER_WORKERS} workers like one here: {compute / 3600:.2g} h of work; "
+        f"on paper, 10^10 states in {units:.3g} files on {PAPER_WORKERS} workers like one here: {compute / 3600:.2g} h; "
         f"reads {read:.3g} and writes {written:.3g} bytes a state, {traffic / MB:.3g} MB/s for a disk that all share; "
         f"the scheduler is busy for {scheduler / compute:.2%} of the time ({unit * 1e3:.2g} ms a unit)"
     )
