@@ -1,5 +1,6 @@
 """Can this robot still stop, or is it going to fall? Zero-step capturability in multi-contact, in JAX."""
 
+from jaxcap.batch.kept_programs import keep_programs as keep_programs
 from jaxcap.batch.score import score as score
 from jaxcap.contacts.actuation import Actuation as Actuation
 from jaxcap.contacts.cone import CentroidalCone as CentroidalCone

@@ -9,10 +9,7 @@ MARKS = ("slow", "sim", "evaluation")
 """What is left out unless it is asked for. All are registered in pyproject.toml."""
 
 QUICK: dict[str, tuple[str, ...]] = {
-    "test_angular_momentum.py": (
-        "test_a_row_that_is_not_finite_leaves_the_others_alone[float64",
-        "test_wrong_shapes_are_named",
-    ),
+    "test_angular_momentum.py": ("test_wrong_shapes_are_named",),
     "test_batch.py": (
         "test_what_is_left_is_sorted_by_kind_and_slope",
         "test_fields_have_their_types",
@@ -47,8 +44,10 @@ QUICK: dict[str, tuple[str, ...]] = {
         "test_help_names_the_columns",
     ),
     "test_cli_cache.py": (
+        "test_a_folder",
+        "test_python_keeps",
         "test_a_map_is_computed_with_the_cache",
-        "test_without_the_option_nothing_is_kept",
+        "test_nothing_is_kept",
         "test_settings_are_put_back_after_an_error",
         "test_a_directory_that_cannot_be_written",
         "test_help_names_the_option",
@@ -106,7 +105,6 @@ QUICK: dict[str, tuple[str, ...]] = {
     ),
     "test_kernel_checks.py": (),
     "test_maps.py": (
-        "test_velocities_by_components_are_scored_bit_by_bit",
         "test_a_file_is_the_map_and_opens_without_us",
         "test_what_a_map_says_of_itself",
         "test_values_ranges_and_lists",

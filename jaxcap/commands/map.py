@@ -3,7 +3,7 @@
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -84,14 +84,19 @@ NOTES
 WHERE
 {where}
 COMPILING
-  Takes seconds, once a run. With --cache DIR the programs are kept in DIR,
-  which is made if need be, and the next run takes them from there. They are
-  code: use no DIR that is written to by anyone whom you do not trust.
+  Takes seconds, once: the programs are kept in your cache folder, or in DIR
+  with --cache DIR, and the next run takes them from there. They are code: use
+  no DIR that is written to by anyone whom you do not trust. --no-cache turns
+  it off.
 
 EXIT CODES
   0 done; 2 bad input, and one line says which; 130 interrupted.
 """.replace("{where}", WHERE)
 """What `jaxcap map --help` says above the list of options; its first line also stands in `jaxcap --help`."""
+
+
+Keep = Callable[[], AbstractContextManager[None]]
+"""`compilation_cache` as it is asked for."""
 
 
 def map_kernel(
@@ -103,6 +108,7 @@ def map_kernel(
     dtype: Literal["float32", "float64"] = "float32",
     sides: int = 4,
     cache: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
+    no_cache: bool = False,
     where: tyro.conf.OmitArgPrefixes[Where] = Where(),  # noqa: B008
     strict: bool = False,
     force: bool = False,
@@ -118,7 +124,8 @@ def map_kernel(
         quantity: What to map; as often as needed.
         dtype: Precision of the computation and of the figures written.
         sides: Edges of the pyramid that replaces each friction cone, at least 3.
-        cache: Keep compiled programs in this directory.
+        cache: Keep compiled programs in this directory, not in your cache folder.
+        no_cache: Keep none and take none.
         where: Where a Zarr map is computed.
         strict: What is hardly plausible is an error, not a note.
         force: Overwrite OUT if it exists.
@@ -135,9 +142,14 @@ def map_kernel(
     notes = notes_of(list(given_sets(stance).values()), points)
     if strict and notes:
         raise InputError(f"--strict: {'; '.join(notes)}")
+    keep = partial(compilation_cache, cache and cache.absolute(), no_cache)
     start = time.perf_counter()
     try:
-        with jax.enable_x64(dtype == "float64"), compilation_cache(cache), _elsewhere(where, cache, output, force) as other:
+        with (
+            jax.enable_x64(dtype == "float64"),
+            compilation_cache(cache, no_cache),
+            _elsewhere(where, keep, output, force) as other,
+        ):
             options: dict[str, Any] = {"sides": sides, "dtype": dtype, "force": force, "progress": True, "elsewhere": other}
             computed = write_map(output, stance, axes, quantity or None, **options)
     except (KeyboardInterrupt, SystemExit):
@@ -155,7 +167,7 @@ def map_kernel(
 
 
 @contextmanager
-def _elsewhere(where: Where, cache: Path | None, output: Path, force: bool) -> Iterator[Any]:
+def _elsewhere(where: Where, keep: Keep, output: Path, force: bool) -> Iterator[Any]:
     """What `write_map` has to know of the place; None if it is this process, for all regions."""
     if where == Where():
         yield None
@@ -169,27 +181,27 @@ def _elsewhere(where: Where, cache: Path | None, output: Path, force: bool) -> I
     if output.suffix.lower() != ".zarr":
         raise InputError(f"{where.given} (expected with a .zarr map, {output} is computed in one process)")
     with place_of(where) as place:
-        run = None if isinstance(place, Here) else partial(_over, place, cache and cache.absolute())
+        run = None if isinstance(place, Here) else partial(_over, place, keep)
         yield Elsewhere(run, place.about["backend"], Share(*shard))
 
 
 @dataclass(frozen=True)
 class Cached:
-    """Work that takes compiled programs from a directory. It can be sent to workers."""
+    """Work that keeps compiled programs. It can be sent to workers."""
 
     work: Callable[[int], int]
-    directory: Path | None
+    keep: Keep
 
     def __call__(self, number: int) -> int:
         """Does it."""
-        with compilation_cache(self.directory):
+        with self.keep():
             return self.work(number)
 
 
-def _over(place: Place, cache: Path | None, work: Callable[[int], int], numbers: list[int]) -> Iterator[int]:
+def _over(place: Place, keep: Keep, work: Callable[[int], int], numbers: list[int]) -> Iterator[int]:
     """The numbers of regions as they are done. Raises InputError for those that failed, when the others are done."""
     failed = []
-    for unit, _, error in over_units(place, Cached(work, cache), [Unit(number, number) for number in numbers]):
+    for unit, _, error in over_units(place, Cached(work, keep), [Unit(number, number) for number in numbers]):
         if error:
             failed.append(f"number {unit.number}: {error}")
         else:

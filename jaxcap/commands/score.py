@@ -8,6 +8,7 @@ import jax
 import numpy as np
 import tyro
 
+from jaxcap.commands.compile_cache import compilation_cache
 from jaxcap.commands.robot_limits import counted
 from jaxcap.commands.score_file import Settings, score_file
 from jaxcap.commands.score_folder import is_many, score_folder
@@ -35,6 +36,7 @@ def score(
     mass: Annotated[float | None, tyro.conf.arg(metavar="M")] = None,
     point_mass: bool = False,
     cache: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
+    no_cache: bool = False,
     strict: bool = False,
     force: bool = False,
 ) -> None:
@@ -58,7 +60,8 @@ def score(
         height: CoM height for the capture point [m]; by default that above the contacts of each row.
         mass: Of the robot [kg]: the column angular_momentum counts then. With --robot the robot's by default.
         point_mass: With --robot, neither its torque limits nor its angular momentum count: the paper's model.
-        cache: Keep compiled programs in this directory.
+        cache: Keep compiled programs in this directory, not in your cache folder.
+        no_cache: Keep none and take none.
         strict: What is hardly plausible is an error, not a note.
         force: Overwrite OUT if it exists.
     """
@@ -71,9 +74,10 @@ def score(
             raise InputError(f"{where.given} (expected with a folder or a glob of Parquet files as STATES)")
         check_output(output, force=force, inputs=tuple(path for path in (states, contacts) if path))
     sets = read_contact_sets(contacts) if contacts else None
-    how = Settings(contacts, sets, dtype, sides, batch_size, neighbours, baselines, height, mass, strict, cache)
+    how = Settings(contacts, sets, dtype, sides, batch_size, neighbours, baselines, height, mass, strict, cache, no_cache)
     if many:
-        score_folder(states, output, how, counted(None, point_mass, mass), where, force=force)
+        with compilation_cache(cache, no_cache):
+            score_folder(states, output, how, counted(None, point_mass, mass), where, force=force)
         return
     with (
         jax.enable_x64(dtype == "float64"),

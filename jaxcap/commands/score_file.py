@@ -47,6 +47,7 @@ class Settings(NamedTuple):
     mass: float | None
     strict: bool
     cache: Path | None
+    no_cache: bool
 
 
 def score_file(
@@ -78,7 +79,7 @@ def score_file(
     named = named or states
     with (
         read_states(states, rows := known.rows(how.batch_size), np.float64, known.mass) as source,
-        compilation_cache(how.cache),
+        compilation_cache(how.cache, how.no_cache),
     ):
         if known.words:
             say(known.words)

@@ -95,7 +95,7 @@ def score_folder(states: Path, output: Path, how: Settings, known: Counted, wher
 def _settings(how: Settings, known: Counted, place: Place) -> dict[str, Any]:
     """All that answers depend on besides the states."""
     contacts = None if how.sets is None else described_contacts(how.sets)
-    rest = {name: value for name, value in how._asdict().items() if name not in ("sets", "contacts", "cache")}
+    rest = {name: value for name, value in how._asdict().items() if name not in ("sets", "contacts", "cache", "no_cache")}
     return {"contacts": contacts, **rest, "mass": known.mass, **place.about}
 
 

@@ -117,10 +117,10 @@ MANY FILES
 WHERE
 {where}
 COMPILING
-  Takes seconds, once a run; with torque limits, a minute. With --cache DIR the
-  programs are kept in DIR, which is made if need be, and the next run takes
-  them from there. They are code: use no DIR that is written to by anyone whom
-  you do not trust.
+  Takes seconds, once; with torque limits, half a minute: the programs are kept
+  in your cache folder, or in DIR with --cache DIR, and the next run takes them
+  from there. They are code: use no DIR that is written to by anyone whom you
+  do not trust. --no-cache turns it off.
 
 EXIT CODES
   0 done; 2 bad input, and one line says which; 130 interrupted.

@@ -28,8 +28,9 @@ Slurm without a scheduler of Dask, an array of jobs (submit it again, and what f
     #SBATCH --array=0-63 --cpus-per-task=4
     jaxcap score runs/ --contacts feet.yaml -o scores/ --cache cache/ --shard $SLURM_ARRAY_TASK_ID/64
 
-Kubernetes: dask-kubernetes makes a scheduler with an address. A worker's first unit waits for JAX to compile, seconds; with
-`--cache DIR`, on a disk that all share, one of them compiles and the others read. `python -m bench.engine` measures.
+Kubernetes: dask-kubernetes makes a scheduler with an address. A worker's first unit waits seconds for JAX to compile, unless
+the programs are in its user's cache folder, or in `--cache DIR` on a disk that all share. `python -m bench.engine` measures
+what a unit costs, and how many bytes go in and out.
 
 Begin with `units`, then `places` (this machine), `cluster` (Dask), `shards` (parts), `ledger` (what of a folder is done),
 `workers` (what runs there). May import `files`.
