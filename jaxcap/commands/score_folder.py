@@ -26,8 +26,8 @@ NOTED = 20
 
 
 def is_many(states: Path) -> bool:
-    """Whether states are a folder or a glob."""
-    return states.is_dir() or is_glob(states)
+    """Whether states are a folder or a glob. A folder may be named like a Parquet file, as some writers do."""
+    return (states.is_dir() and states.suffix.lower() not in (".npz", ".csv")) or is_glob(states)
 
 
 @dataclass(frozen=True)
