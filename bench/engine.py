@@ -112,6 +112,7 @@ def survived(job: Job, files: int) -> str:
         run.communicate()
         kept = there()
         dask.start_scheduler()
+        dask.start_worker()  # the others have ended with their scheduler
         again = jaxcap(*command)
         _, error = again.communicate()
         if again.returncode:
@@ -130,12 +131,13 @@ def on_paper(job: Job, files: int, alone: Line, unit: float) -> str:
     size = lambda name: sum(file.stat().st_size for file in (job.folder / name).glob("*.parquet")) / job.states
     read, written, per_state = size("in"), size("here"), alone.seconds / alone.states
     units = PAPER_STATES / (job.states / files)
-    compute, scheduler = PAPER_STATES * per_state / PAPER_WORKERS, units * unit
+    compute = PAPER_STATES * per_state / PAPER_WORKERS
     traffic = PAPER_STATES * (read + written) / compute
     return (
         f"on paper, 10^10 states in {units:.3g} files on {PAPER_WORKERS} workers like one here: {compute / 3600:.2g} h; "
         f"reads {read:.3g} and writes {written:.3g} bytes a state, {traffic / MB:.3g} MB/s for a disk that all share; "
-        f"the scheduler is busy for {scheduler / compute:.2%} of the time ({unit * 1e3:.2g} ms a unit)"
+        f"the scheduler hands over {units / compute:.3g} files a second (one worker alone took {1 / unit:.3g} empty units a "
+        "second here), the fewer the larger they are"
     )
 
 
