@@ -155,6 +155,21 @@ def test_score_and_com_area_take_the_box():
     assert areas[0] < areas[1]
 
 
+def test_one_state_takes_the_box_by_rays():
+    """The answer of the faces with that box."""
+    faces, rays = jaxcap.centroidal_cone(FOOT, momentum_box=0.2), jaxcap.cone_rays(FOOT)
+    rng = np.random.default_rng(5)
+    for _ in range(5):
+        state = rng.uniform([-0.1, 0, 0.7], [0.1, 0.2, 0.9]), rng.uniform(-0.5, 0.5, 3)
+        ours, theirs = jaxcap.capturability(rays, *state, momentum_box=0.2), jaxcap.capturability(faces, *state)
+        assert ours.capturable == theirs.capturable
+        np.testing.assert_allclose(ours.max_speed, theirs.max_speed, rtol=1e-6)
+    with pytest.raises(TypeError, match="the robot's limits need the rays"):
+        jaxcap.capturability(faces, *state, momentum_box=0.2)
+    with pytest.raises(ValueError, match="momentum_box = -1"):
+        jaxcap.capturability(rays, *state, momentum_box=-1.0)
+
+
 @pytest.mark.parametrize("box", [-1.0, np.nan, np.inf, [0.1, 0.1, 0.1]])
 def test_boxes_that_are_none(box):
     with pytest.raises(ValueError, match=r"momentum_box = .* \(expected a number of m\^2/s\^2, not negative\)"):

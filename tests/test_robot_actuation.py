@@ -121,3 +121,5 @@ def test_only_joints_that_are_wanted(robot):
     np.testing.assert_array_equal(found.jacobians, whole.jacobians[..., 14:])
     with pytest.raises(InputError, match="joints: 'elbow' is no joint"):
         actuation(robot.model, q, contacts, FRAMES, joints=["elbow"])
+    none = actuation(robot.model, q, contacts, FRAMES, joints=[])
+    assert none.jacobians.shape == (*whole.jacobians.shape[:-1], 0) and none.limit.shape[-1] == 0

@@ -11,11 +11,10 @@ from jaxcap.batch.blocks import BLOCK, RAYS_BLOCK, block_of, over_blocks, padded
 from jaxcap.batch.devices import Spread, spread_over
 from jaxcap.batch.rounds import Shared, States, scored_block
 from jaxcap.batch.second_opinion import decided
-from jaxcap.contacts.actuation import ActuatedRays, Actuation, actuated
+from jaxcap.contacts.actuation import ActuatedRays, Actuation, with_limits
 from jaxcap.contacts.cone import CentroidalCone, ConeRays
 from jaxcap.contacts.conventions import GRAVITY, ArrayLike, checked_gravity
 from jaxcap.contacts.scoring_input import check_cone, relative, rounded, unless_zero
-from jaxcap.one_state.line import Cone
 from jaxcap.one_state.result import Capturability
 
 
@@ -68,7 +67,7 @@ def score(
     coms, com_velocities = jnp.asarray(rounded(coms)), jnp.asarray(rounded(com_velocities))
     momenta = unless_zero(rounded(specific_angular_momentum))
     momenta = None if momenta is None else jnp.asarray(momenta)
-    limited = _limited(cone, actuation, momentum_box, len(coms))
+    limited = with_limits(cone, actuation, momentum_box, len(coms))
     own = limited if isinstance(limited, ConeRays | ActuatedRays) and limited.batched else None
     states = States(coms, com_velocities, own, momenta)
     common = None if own else limited if isinstance(limited, ActuatedRays) else padded_cone(limited)
@@ -77,12 +76,6 @@ def score(
         return scored_block(shared, states, neighbours)
     found = _over_devices(shared, states, neighbours)
     return decided(limited, states, gravity, found) if isinstance(limited, ConeRays) else found
-
-
-def _limited(cone: CentroidalCone | ConeRays, actuation: Any, momentum_box: Any, n: int) -> Cone:
-    """The cone, with the robot's limits if there are any."""
-    none = actuation is None and not isinstance(momentum_box, jax.core.Tracer) and not np.any(np.asarray(momentum_box) != 0)
-    return cone if none else actuated(cone, actuation, momentum_box, n)
 
 
 def _over_devices(shared: Shared, states: States, neighbours: bool) -> Capturability:

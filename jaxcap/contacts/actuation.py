@@ -202,6 +202,12 @@ def actuated(
     )
 
 
+def with_limits(cone: Any, actuation: Actuation | None, momentum_box: ArrayLike, states: int | None = None) -> Any:
+    """The cone as it is where nothing limits it, else `actuated`: a box of zero is today's program, in either form."""
+    none = actuation is None and not isinstance(momentum_box, jax.core.Tracer) and not np.any(np.asarray(momentum_box) != 0)
+    return cone if none else actuated(cone, actuation, momentum_box, states)
+
+
 def torque_columns(rays: Float[FloatArray, "r 6 *#n"], jacobians: Float[FloatArray, "k 3 j *#n"]) -> Any:
     """Torque of each joint under a unit of each ray: J' f, lanes last.
 

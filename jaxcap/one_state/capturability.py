@@ -4,7 +4,7 @@ import jax
 import numpy as np
 from jaxtyping import Array, Num
 
-from jaxcap.contacts.actuation import Actuation, actuated
+from jaxcap.contacts.actuation import Actuation, with_limits
 from jaxcap.contacts.cone import CentroidalCone, ConeRays
 from jaxcap.contacts.conventions import GRAVITY, ArrayLike, checked_gravity
 from jaxcap.contacts.scoring_input import check_cone, relative, rounded, unless_zero
@@ -21,6 +21,7 @@ def capturability(
     *,
     specific_angular_momentum: ArrayLike | None = None,
     actuation: Actuation | None = None,
+    momentum_box: ArrayLike = 0.0,
 ) -> Capturability:
     """Can the robot come to rest without moving a contact, its CoM decelerating along its own velocity?
 
@@ -38,12 +39,15 @@ def capturability(
             with the CoM where that swings back), so speeds and margin are those of a robot that has more or less of both.
             At zero velocity it does not count: the answer says whether the robot can stand where it is.
         actuation: what the robot's joints can bear in its posture; with rays only. The answer is differentiable in it too.
+        momentum_box: how much the rate of angular momentum per unit mass may differ from what braking brings about, in each
+            component, >= 0 [m^2/s^2]. Other than zero with rays only; faces have it from `centroidal_cone`.
 
     Returns:
         The verdict, how it ends, margins [m/s], and the way to the stop.
 
     Raises:
         TypeError: for a wrong shape, contacts in place of a cone, or an actuation of other contacts.
+        ValueError: for a momentum box that is negative or not finite.
 
     Source: Section III, Algorithms 1 and 2, with the energy in place of time; C3.3, which the paper leaves open, by swings.
     """
@@ -57,7 +61,7 @@ def capturability(
         if value is not None and value.shape != (3,):
             raise TypeError(f"{name} has shape {value.shape} (expected (3,); `score` takes many states)")
     cone, position = relative(cone, position)
-    limited = cone if actuation is None else actuated(cone, actuation)
+    limited = with_limits(cone, actuation, momentum_box)
     return capturability_of_lanes(limited, position, rounded(velocity), gravity, unless_zero(rounded(momentum)))
 
 

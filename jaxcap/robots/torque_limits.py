@@ -81,7 +81,7 @@ def actuation(
         _block(model, rows[i : i + BLOCK], points[i : i + BLOCK], chain, pull) for i in range(0, max(len(rows), 1), BLOCK)
     ]
     jacobians, torque = (np.concatenate(part) for part in zip(*parts, strict=True))
-    carries = np.array([joint.carries for joint in chain]).reshape(len(chain), -1)
+    carries = np.array([joint.carries for joint in chain], bool).reshape(len(chain), len(names))
     touching = (mask[:, None] & carries[None]).any(axis=2) & np.isfinite(bound)
     limit = np.broadcast_to(np.where(np.isfinite(bound), bound, 0), touching.shape)
     found = Actuation(jacobians, torque, limit, touching)
