@@ -281,3 +281,62 @@ def test_a_terminal_sees_a_bar(tmp_path, contacts):
             shown += piece
     os.close(terminal)
     assert run.returncode == 0 and b"100%" in shown and b"states" in shown
+
+
+# where it is computed
+
+REGIONS = (*SMALL, "--axis", "friction=0.3:0.8:7")
+"""Seven regions: one for each contact set."""
+
+
+def files_of(path: Path) -> dict[str, bytes]:
+    """All of a map."""
+    return {str(file.relative_to(path)): file.read_bytes() for file in path.rglob("*") if file.is_file()}
+
+
+@pytest.mark.parametrize("order", [(0, 1, 2), (2, 0, 1)])
+def test_shards_make_the_whole(fake, tmp_path, contacts, capsys, order):
+    assert main(command(contacts, tmp_path / "whole.zarr", *REGIONS)) == 0
+    whole = files_of(tmp_path / "whole.zarr")
+    for number in order:
+        assert not (tmp_path / "map.zarr").exists()
+        capsys.readouterr()
+        assert main(command(contacts, tmp_path / "map.zarr", *REGIONS, "--shard", f"{number}/3")) == 0
+        assert f"; shard {number}/3" in capsys.readouterr().out
+    assert files_of(tmp_path / "map.zarr") == whole
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["feet.yaml", "map.zarr", "whole.zarr"]
+
+
+def test_a_shard_leaves_what_others_do_alone(fake, tmp_path, contacts, capsys):
+    """Another shard may write at the same time, the same shard may not, and a command for the whole goes on from them."""
+    fcntl = pytest.importorskip("fcntl")
+    assert main(command(contacts, tmp_path / "map.zarr", *REGIONS, "--shard", "1/3")) == 0
+    partial = tmp_path / "map.zarr.partial"
+    with open(partial / "journal.0-3", "wb") as other:
+        fcntl.flock(other, fcntl.LOCK_EX)
+        assert main(command(contacts, tmp_path / "map.zarr", *REGIONS, "--shard", "0/3")) == 2
+        assert "another process is writing it" in capsys.readouterr().err
+    with open(partial / "settings.json") as other:
+        fcntl.flock(other, fcntl.LOCK_SH)  # as a shard that is at work holds it
+        assert main(command(contacts, tmp_path / "map.zarr", *REGIONS, "--shard", "0/3")) == 0
+        assert main(command(contacts, tmp_path / "map.zarr", *REGIONS)) == 2
+        assert "another process is writing it" in capsys.readouterr().err
+    assert sorted(path.name for path in partial.glob("journal*")) == ["journal", "journal.0-3", "journal.1-3"]
+    assert main(command(contacts, tmp_path / "map.zarr", *REGIONS)) == 0
+    assert main(command(contacts, tmp_path / "whole.zarr", *REGIONS)) == 0
+    assert files_of(tmp_path / "map.zarr") == files_of(tmp_path / "whole.zarr")
+
+
+@pytest.mark.parametrize(
+    "options, output, why",
+    [
+        (["--shard", "3/3"], "map.zarr", "--shard 3/3 (expected 0/3 to 2/3"),
+        (["--shard", "0/3", "--force"], "map.zarr", "expected without --force"),
+        (["--jobs", "2"], "map.nc", "--jobs 2 (expected with a .zarr map"),
+        (["--jobs", "0"], "map.zarr", "--jobs 0"),
+    ],
+)
+def test_places_that_cannot_be_used(fake, tmp_path, contacts, capsys, options, output, why):
+    assert main(command(contacts, tmp_path / output, *REGIONS, *options)) == 2
+    assert why in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["feet.yaml"]

@@ -77,6 +77,8 @@ QUICK: dict[str, tuple[str, ...]] = {
         "test_options_that_cannot_be_used",
         "test_files_that_cannot_be_used",
         "test_force_overwrites",
+        "test_shards_make_the_whole[order0",
+        "test_places_that_cannot_be_used",
     ),
     "test_contact_axes.py": (
         "test_a_level_set_with_its_own_friction_is_untouched",

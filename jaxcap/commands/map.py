@@ -2,6 +2,10 @@
 
 import sys
 import time
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -10,6 +14,8 @@ import tyro
 
 from jaxcap.commands.compile_cache import compilation_cache
 from jaxcap.commands.options import named_values
+from jaxcap.commands.where import WHERE, Where, check_where, place_of
+from jaxcap.engine import Here, Place, Unit, over_units, shard_of
 from jaxcap.errors import InputError
 from jaxcap.files.contact_files import read_contact_sets
 from jaxcap.maps.contact_axes import Contacts, given_sets, with_sets
@@ -75,6 +81,8 @@ NOTES
   contacts more than 5 m apart, normals that all point away from the CoM. With
   --strict that is an error, and nothing is written.
 
+WHERE
+{where}
 COMPILING
   Takes seconds, once: the programs are kept in your cache folder, or in DIR
   with --cache DIR, and the next run takes them from there. They are code: use
@@ -83,8 +91,12 @@ COMPILING
 
 EXIT CODES
   0 done; 2 bad input, and one line says which; 130 interrupted.
-"""
+""".replace("{where}", WHERE)
 """What `jaxcap map --help` says above the list of options; its first line also stands in `jaxcap --help`."""
+
+
+Keep = Callable[[], AbstractContextManager[None]]
+"""`compilation_cache` as it is asked for."""
 
 
 def map_kernel(
@@ -97,6 +109,7 @@ def map_kernel(
     sides: int = 4,
     cache: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
     no_cache: bool = False,
+    where: tyro.conf.OmitArgPrefixes[Where] = Where(),  # noqa: B008
     strict: bool = False,
     force: bool = False,
 ) -> None:
@@ -113,6 +126,7 @@ def map_kernel(
         sides: Edges of the pyramid that replaces each friction cone, at least 3.
         cache: Keep compiled programs in this directory, not in your cache folder.
         no_cache: Keep none and take none.
+        where: Where a Zarr map is computed.
         strict: What is hardly plausible is an error, not a note.
         force: Overwrite OUT if it exists.
     """
@@ -120,6 +134,7 @@ def map_kernel(
 
     if sides < 3:
         raise InputError(f"--sides {sides} (expected at least 3)")
+    check_where(where)
     stance = _contacts(contacts)
     given = named_values("--axis", axis, "NAME=VALUES, for example com_x=-0.4:0.4:201")
     axes = with_sets(stance, axes_around(given_sets(stance).values(), given))
@@ -127,10 +142,15 @@ def map_kernel(
     notes = notes_of(list(given_sets(stance).values()), points)
     if strict and notes:
         raise InputError(f"--strict: {'; '.join(notes)}")
+    keep = partial(compilation_cache, cache and cache.absolute(), no_cache)
     start = time.perf_counter()
     try:
-        with jax.enable_x64(dtype == "float64"), compilation_cache(cache, no_cache):
-            options: dict[str, Any] = {"sides": sides, "dtype": dtype, "force": force, "progress": True}
+        with (
+            jax.enable_x64(dtype == "float64"),
+            compilation_cache(cache, no_cache),
+            _elsewhere(where, keep, output, force) as other,
+        ):
+            options: dict[str, Any] = {"sides": sides, "dtype": dtype, "force": force, "progress": True, "elsewhere": other}
             computed = write_map(output, stance, axes, quantity or None, **options)
     except (KeyboardInterrupt, SystemExit):
         if output.suffix.lower() == ".zarr":
@@ -140,9 +160,54 @@ def map_kernel(
     for note in notes:
         print(f"note: {output}: {note}", file=sys.stderr)
     extent = " x ".join(f"{name} {size}" for name, size in zip(points.dims, points.shape, strict=True)) or "one point"
-    before = f"; {points.size - computed} were there" if computed < points.size else ""
+    shard = f"; shard {where.shard}{'' if output.exists() else ', other regions are to come'}" if where.shard else ""
+    before = f"; {points.size - computed} were there" if computed < points.size and not shard else shard
     rate = f"{computed / seconds:.3g} states/s ({seconds:.2f} s with compiling; {dtype}, {jax.default_backend()})"
     print(f"{output}: {extent}, {points.size} states{before}\n{rate}")
+
+
+@contextmanager
+def _elsewhere(where: Where, keep: Keep, output: Path, force: bool) -> Iterator[Any]:
+    """What `write_map` has to know of the place; None if it is this process, for all regions."""
+    if where == Where():
+        yield None
+        return
+    from jaxcap.maps.kernel import Elsewhere
+    from jaxcap.maps.store import Share
+
+    shard = shard_of(where.shard)
+    if force and shard.of > 1:
+        raise InputError(f"--shard {shard} (expected without --force: the last part gives the map its name)")
+    if output.suffix.lower() != ".zarr":
+        raise InputError(f"{where.given} (expected with a .zarr map, {output} is computed in one process)")
+    with place_of(where) as place:
+        run = None if isinstance(place, Here) else partial(_over, place, keep)
+        yield Elsewhere(run, place.about["backend"], Share(*shard))
+
+
+@dataclass(frozen=True)
+class Cached:
+    """Work that keeps compiled programs. It can be sent to workers."""
+
+    work: Callable[[int], int]
+    keep: Keep
+
+    def __call__(self, number: int) -> int:
+        """Does it."""
+        with self.keep():
+            return self.work(number)
+
+
+def _over(place: Place, keep: Keep, work: Callable[[int], int], numbers: list[int]) -> Iterator[int]:
+    """The numbers of regions as they are done. Raises InputError for those that failed, when the others are done."""
+    failed = []
+    for unit, _, error in over_units(place, Cached(work, keep), [Unit(number, number) for number in numbers]):
+        if error:
+            failed.append(f"number {unit.number}: {error}")
+        else:
+            yield unit.number
+    if failed:
+        raise InputError(f"{len(failed)} of {len(numbers)} regions failed, the others are written; {'; '.join(failed[:3])}")
 
 
 def _contacts(path: Path) -> Contacts:

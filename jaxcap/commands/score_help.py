@@ -1,5 +1,6 @@
 """What `jaxcap score --help` says above the list of options."""
 
+from jaxcap.commands.where import WHERE
 from jaxcap.files.fields import BASELINES, FIELDS, field_list
 
 _INPUT = """Score a file of robot states: can the robot stop without moving a contact?
@@ -9,6 +10,7 @@ EXAMPLES
   jaxcap score steps.parquet -o scores.parquet      # with columns of contacts
   jaxcap score walk.csv --robot g1 -o scores.parquet     # a log: see jaxcap
                                                     # states --help
+  jaxcap score runs/ --contacts feet.yaml -o scores/ --jobs 4   # many files
 
 STATES is Parquet (.parquet), NPZ (.npz) or CSV (.csv); for each state, a row:
     com            3 numbers   centre of mass [m]
@@ -102,6 +104,18 @@ ROBOT
   the momentum counts alone. A line on stderr says which, and so do the
   metadata (counted). With --point-mass neither counts.
 
+MANY FILES
+  STATES may be a folder of Parquet files, however deep, or a glob in quotes
+  ('data/**/*.parquet'). OUT is a folder then, and gets a file of the same name
+  for each, as if it were scored alone. All have to have the same columns, and
+  what is no Parquet file is an error, before anything is computed; names that
+  begin with a dot or an underscore are left out.
+  Files that are there are not done again. OUT/_SUMMARY.json, with counts and
+  the SHA-256 of the settings, appears when all are. Other settings, versions
+  or inputs than before are refused; --force does all again. A file that fails
+  is told by number and name at the end, and the others are done.
+WHERE
+{where}
 COMPILING
   Takes seconds, once; with torque limits, half a minute: the programs are kept
   in your cache folder, or in DIR with --cache DIR, and the next run takes them
@@ -112,5 +126,5 @@ EXIT CODES
   0 done; 2 bad input, and one line says which; 130 interrupted.
 """
 
-SCORE = _INPUT + field_list(FIELDS) + _BASELINES + field_list(BASELINES) + _REST
+SCORE = _INPUT + field_list(FIELDS) + _BASELINES + field_list(BASELINES) + _REST.replace("{where}", WHERE)
 """Its first line also stands in `jaxcap --help`."""

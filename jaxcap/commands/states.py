@@ -200,11 +200,7 @@ def states_of_log(log: Path, robot: str | None, options: LogOptions, output: Pat
         strict: What is doubtful is an error.
     """
     if robot is None:
-        if options != LogOptions():
-            given = next(
-                field.name for field in dataclasses.fields(options) if getattr(options, field.name) != field.default
-            )
-            raise InputError(f"--{given} says how a log is read (expected with --robot)")
+        check_plain(options)
         yield StatesOfLog(log)
         return
     opened = open_log(log, robot, options, strict)
@@ -214,6 +210,13 @@ def states_of_log(log: Path, robot: str | None, options: LogOptions, output: Pat
         for note in opened.notes:
             print(f"note: {note}", file=sys.stderr)
         yield StatesOfLog(file, opened.robot)
+
+
+def check_plain(options: LogOptions) -> None:
+    """Raises InputError if an option says how a log is read, where states are none."""
+    given = [field.name for field in dataclasses.fields(options) if getattr(options, field.name) != field.default]
+    if given:
+        raise InputError(f"--{given[0]} says how a log is read (expected with --robot)")
 
 
 def said_of_log(about: Mapping[bytes, bytes]) -> dict[str, Any]:

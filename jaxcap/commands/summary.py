@@ -1,5 +1,8 @@
 """The closing table: counts of cases and statuses, quantiles of the margin, in memory that does not grow."""
 
+from collections.abc import Iterable
+from typing import NamedTuple
+
 import numpy as np
 from jaxtyping import Float
 
@@ -81,18 +84,48 @@ class Summary:
             self.statuses[trust] += int((status == trust).sum())
         self.margin.add(np.asarray(out.margin))
 
+    @property
+    def counts(self) -> "Counts":
+        """Without the margin, by names."""
+        statuses = {status.name.lower(): n for status, n in self.statuses.items()}
+        return Counts(self.states, self.capturable, {case.name: n for case, n in self.cases.items()}, statuses)
+
     def table(self) -> str:
         """Counts and quantiles, as lines of text."""
-        lines = [self._line("states", "", self.states), self._line("capturable", "", self.capturable), "", "case"]
-        lines += [self._line(f"  {case.name}", CASES[case], n) for case, n in self.cases.items()]
-        lines += ["", "status"]
-        lines += [self._line(f"  {status.name.lower()}", STATUSES[status], n) for status, n in self.statuses.items()]
-        lines += ["", f"margin [m/s], of {len(self.margin)} states"]
+        lines = [self.counts.table(), "", f"margin [m/s], of {len(self.margin)} states"]
         if len(self.margin):
             lines += ["  " + "".join(f"{share:>10.0%}" for share in QUANTILES)]
             lines += ["  " + "".join(f"{self.margin(share):>10.3g}" for share in QUANTILES)]
         return "\n".join(lines)
 
+
+class Counts(NamedTuple):
+    """How many states ended how, by names, as JSON can hold it."""
+
+    states: int
+    capturable: int
+    cases: dict[str, int]
+    statuses: dict[str, int]
+
+    def table(self) -> str:
+        """Lines of text."""
+        lines = [self._line("states", "", self.states), self._line("capturable", "", self.capturable), "", "case"]
+        lines += [self._line(f"  {case.name}", CASES[case], self.cases[case.name]) for case in CASES]
+        lines += ["", "status"]
+        names = {status: status.name.lower() for status in STATUSES}
+        lines += [self._line(f"  {name}", STATUSES[status], self.statuses[name]) for status, name in names.items()]
+        return "\n".join(lines)
+
     def _line(self, name: str, words: str, n: int) -> str:
         share = f"{n / self.states:9.2%}" if self.states else f"{'-':>9}"
         return f"{name:<16}{words:<30}{n:>14}{share}"
+
+
+def together(counts: Iterable[Counts]) -> Counts:
+    """The sums of all; zeros of none."""
+    both = lambda one, other: {name: one.get(name, 0) + other.get(name, 0) for name in one | other}
+    total = Summary().counts
+    for one in counts:
+        cases, statuses = both(total.cases, one.cases), both(total.statuses, one.statuses)
+        total = Counts(total.states + one.states, total.capturable + one.capturable, cases, statuses)
+    return total

@@ -82,16 +82,17 @@ def describe(
         "dtype": np.dtype(dtype).name,
         "gravity": [float(g) for g in gravity],
         "sides": int(sides),
-        "contacts": _described(contacts),
+        "contacts": described_contacts(contacts),
         **more,
     }
 
 
-def _described(contacts: ContactSet | ContactSets | tuple[str, ...]) -> Any:
+def described_contacts(contacts: ContactSet | ContactSets | tuple[str, ...]) -> Any:
+    """Contacts as text in JSON: those of `describe`."""
     if isinstance(contacts, ContactSet):
         return {name: np.asarray(getattr(contacts, name)).tolist() for name in ("points", "frames", "friction")}
     if isinstance(contacts, ContactSets):
-        return [{"name": name, **_described(one)} for name, one in zip(contacts.names, contacts.sets, strict=True)]
+        return [{"name": name, **described_contacts(one)} for name, one in zip(contacts.names, contacts.sets, strict=True)]
     return list(contacts)
 
 

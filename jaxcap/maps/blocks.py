@@ -107,6 +107,7 @@ class Answers:
         dtype: DTypeLike,
     ):
         self.grid, self.quantities, self.regions = grid, quantities, regions(grid)
+        self._ready = False
         tables = grid.tables(np.float64)
         # With angular momentum each speed has a polygon of its own: it is then an axis like the others.
         self._shared_lines = grid.polar and not grid.spins
@@ -147,8 +148,9 @@ class Answers:
         chosen = map(self.regions.region, numbers)
         starts = lambda region: range(0, math.prod(region.shape(self._dims)), self._size * self._shares)
         items, blocks = chain.from_iterable(((region, start) for start in starts(region)) for region in chosen), []
-        if numbers:
+        if numbers and not self._ready:
             jax.block_until_ready(self._answered(self.regions.region(0), 0))  # compiles, once for all threads
+            self._ready = True
         for region, block in side_by_side(lambda item: (item[0], self._answered(*item)), items, ahead=AHEAD):
             blocks.append(block)
             if len(blocks) == len(starts(region)):

@@ -6,10 +6,12 @@ directions is the whole kernel, of five or six dimensions, not a scatter of verd
 """
 
 import hashlib
+import json
 import math
 import os
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -35,7 +37,17 @@ with needs_extra("maps", "jaxcap.maps"):
     from tqdm import tqdm
 
     from jaxcap.maps.labels import CONVENTIONS, as_file, attributes_of, coordinates
-    from jaxcap.maps.store import Variable, growing_map, recorded
+    from jaxcap.maps.store import (
+        WHOLE,
+        GrowingMap,
+        Share,
+        Variable,
+        growing_map,
+        partial_path,
+        recorded,
+        settings_in,
+        write_chunks,
+    )
 
 EXTENSIONS = (".zarr", ".nc")
 
@@ -100,6 +112,7 @@ def write_map(
     dtype: DTypeLike | None = None,
     progress: bool = False,
     force: bool = False,
+    elsewhere: "Elsewhere | None" = None,
 ) -> int:
     """`kernel_map` into a file: Zarr (.zarr), region by region and larger than memory if need be, or netCDF (.nc).
 
@@ -120,6 +133,7 @@ def write_map(
         dtype: Of the computation and the figures.
         progress: Show a bar on stderr, if that is a terminal.
         force: Replace a file that is there.
+        elsewhere: What computes the regions of a Zarr map, if not this process, or which of them; the bytes are the same.
 
     Returns:
         How many states were computed; without a speed, lines of travel.
@@ -132,25 +146,111 @@ def write_map(
     _check_path(path, force)
     asked = _checked(cone, axes, quantities, dtype)
     if path.suffix.lower() == ".nc":
-        with needs_extra("maps", "writing netCDF"):
-            import h5netcdf  # noqa: F401
-            import h5py  # noqa: F401
-        _check_disk(path, asked.bytes)
-        answers, about = _prepared(cone, asked, gravity, sides, progress)
-        dataset = _in_memory(answers, about, progress)
-        with whole_file(path, force=force) as handle:
-            dataset.to_netcdf(handle.name, engine="h5netcdf")
-        return asked.grid.size
+        return _written_whole(path, cone, asked, gravity, sides, progress, force, elsewhere)
     _check_disk(path, asked.bytes * (1 - len(recorded(path)) / len(regions(asked.grid))))
-    answers, about = _prepared(cone, asked, gravity, sides, progress)
-    with growing_map(path, about.coordinates, about.variables, about.settings, force=force) as store:
-        todo = [number for number in range(len(answers.regions)) if number not in store.done]
-        computed = sum(answers.states(answers.regions.region(number)) for number in todo)
-        with _bar("states", asked.grid.size, asked.grid.size - computed, progress) as bar:
-            for region, values in answers.over(todo):
-                store.write(region.number, {name: answers.place(region, name) for name in values}, values)
-                bar.update(answers.states(region))
+    other = elsewhere or Elsewhere()
+    answers, about = _prepared(cone, asked, gravity, sides, progress, other.backend)
+    growing: dict[str, Any] = {"regions": len(answers.regions), "force": force, "share": other.share}
+    with growing_map(path, about.coordinates, about.variables, about.settings, **growing) as store:
+        ours = range(other.share.number, len(answers.regions), other.share.of)
+        todo = [number for number in ours if number not in store.done]
+        total, computed = (sum(answers.states(answers.regions.region(number)) for number in some) for some in (ours, todo))
+        work = RegionWork(
+            path.absolute(), cone, dict(axes), asked.quantities, gravity, sides, asked.dtype.name, about.settings
+        )
+        with _bar("states", total, total - computed, progress) as bar:
+            for number in _grown(answers, store, todo) if other.run is None else other.run(work, todo):
+                if other.run is not None:
+                    store.record(number)
+                bar.update(answers.states(answers.regions.region(number)))
     return computed
+
+
+def _grown(answers: Answers, store: GrowingMap, todo: list[int]) -> Iterator[int]:
+    """Computes regions in this process, and writes them."""
+    for region, values in answers.over(todo):
+        store.write(region.number, {name: answers.place(region, name) for name in values}, values)
+        yield region.number
+
+
+def _written_whole(
+    path: Path,
+    cone: Contacts | CentroidalCone | ConeRays,
+    asked: "_Asked",
+    gravity: ArrayLike,
+    sides: int,
+    progress: bool,
+    force: bool,
+    elsewhere: "Elsewhere | None",
+) -> int:
+    """A netCDF map."""
+    if elsewhere is not None:
+        raise InputError(f"{path}: a netCDF map is computed in one process (expected .zarr, or no other place)")
+    with needs_extra("maps", "writing netCDF"):
+        import h5netcdf  # noqa: F401
+        import h5py  # noqa: F401
+    _check_disk(path, asked.bytes)
+    answers, about = _prepared(cone, asked, gravity, sides, progress)
+    dataset = _in_memory(answers, about, progress)
+    with whole_file(path, force=force) as handle:
+        dataset.to_netcdf(handle.name, engine="h5netcdf")
+    return asked.grid.size
+
+
+class Elsewhere(NamedTuple):
+    """Where the regions of a map are computed, if not all in this process."""
+
+    run: Callable[["RegionWork", list[int]], Iterable[int]] | None = None
+    """Calls what it is given, which can be pickled, with each of these numbers in any process that sees the file, and yields
+    those that are done. None: this process does."""
+    backend: str | None = None
+    """Of JAX, there."""
+    share: Share = WHOLE
+    """The part of the map that is grown."""
+
+
+@dataclass(frozen=True)
+class RegionWork:
+    """What computes a region of an unfinished map and writes its chunks. It can be sent to other processes."""
+
+    path: Path
+    cone: Contacts | CentroidalCone | ConeRays
+    axes: dict[str, Any]
+    quantities: tuple[str, ...]
+    gravity: ArrayLike
+    sides: int
+    dtype: str
+    settings: dict[str, Any]
+
+    def __call__(self, number: int) -> int:
+        """Computes the region with this number, and writes it. Returns the number."""
+        with jax.enable_x64(self.dtype == "float64"):
+            (region, values), *_ = (answers := self._answers()).over([number])
+        write_chunks(self.path, {name: answers.place(region, name) for name in values}, values)
+        return number
+
+    def _answers(self) -> Answers:
+        """Kept from region to region: cones and programs are made once a process."""
+        settings = json.loads(json.dumps(self.settings))
+        key = f"{self.path} {json.dumps(settings, sort_keys=True)}"
+        if key not in _KEPT:
+            asked = _checked(self.cone, self.axes, self.quantities, self.dtype)
+            answers, about = _prepared(self.cone, asked, self.gravity, self.sides, progress=False)
+            here = json.loads(json.dumps(about.settings))
+            other = next((name for name in {**settings, **here} if settings.get(name) != here.get(name)), None)
+            if other is not None:
+                raise InputError(
+                    f"{self.path}: {other} of the map is {settings.get(other)} (a worker has {here.get(other)})"
+                )
+            _KEPT.clear()
+            _KEPT[key] = answers
+        if settings_in(self.path) != settings:
+            raise InputError(f"{partial_path(self.path)}: is another map now")
+        return _KEPT[key]
+
+
+_KEPT: dict[str, Answers] = {}
+"""The one map that this process last computed a region of, for `RegionWork`."""
 
 
 class _Asked(NamedTuple):
@@ -207,7 +307,12 @@ def _checked(
 
 
 def _prepared(
-    cone: Contacts | CentroidalCone | ConeRays, asked: _Asked, gravity: ArrayLike, sides: int, progress: bool
+    cone: Contacts | CentroidalCone | ConeRays,
+    asked: _Asked,
+    gravity: ArrayLike,
+    sides: int,
+    progress: bool,
+    backend: str | None = None,
 ) -> tuple[Answers, _About]:
     """What computes the map, and what the map says of itself."""
     gravity = np.asarray(gravity, np.float64)
@@ -245,7 +350,7 @@ def _prepared(
         "quantities": list(asked.quantities),
         "regions": steps,
         "cone": hashlib.sha256(b"".join(np.asarray(leaf).tobytes() for leaf in jax.tree.leaves(cones))).hexdigest(),
-        "jax": f"{jax.__version__} on {jax.default_backend()}",
+        "jax": f"{jax.__version__} on {backend or jax.default_backend()}",
     }
     return answers, _About(coordinates(asked.grid, given_sets(cone), attributes), variables, settings)
 

@@ -3,6 +3,9 @@
 PATH.partial holds the map while it grows, the settings that it belongs to, and a journal: the number of each region that
 has been written, a line each, added when all its chunks are there. A run that is killed at any moment leaves at most chunks
 of which the journal does not know; they are written again. The last step is to rename the map.
+
+Regions may be written by other processes, while this one keeps the journal. Or each part of them by a process with a
+journal of its own: then whoever ends last renames the map.
 """
 
 import json
@@ -56,23 +59,51 @@ class GrowingMap:
         """Writes a region: of every quantity its place, whole chunks, and its values."""
         for name, value in values.items():
             self._arrays[name][places[name] or ...] = value
+        self.record(number)
+
+    def record(self, number: int) -> None:
+        """Notes that a region has been written, here or by `write_chunks`."""
         self._journal.write(b"%d\n" % number)
         self._journal.flush()
         self.done.add(number)
 
 
+class Share(NamedTuple):
+    """One of several parts of a map, each grown by a command of its own."""
+
+    number: int = 0
+    of: int = 1
+
+    @property
+    def journal(self) -> str:
+        """Name of its journal."""
+        return JOURNAL if self.of == 1 else f"{JOURNAL}.{self.number}-{self.of}"
+
+
+WHOLE = Share()
+
+
 @contextmanager
 def growing_map(
-    path: Path, coordinates: xr.Dataset, variables: Mapping[str, Variable], settings: Mapping[str, Any], *, force: bool
+    path: Path,
+    coordinates: xr.Dataset,
+    variables: Mapping[str, Variable],
+    settings: Mapping[str, Any],
+    *,
+    regions: int,
+    force: bool,
+    share: Share = WHOLE,
 ) -> Iterator[GrowingMap]:
-    """The map at `path`, in a `with` block; it takes its name when the block ends without an error.
+    """The map at `path`, in a `with` block; when that ends without an error and all is there, it takes its name.
 
     Args:
         path: Where the map goes.
         coordinates: Its axes and attributes.
         variables: Its quantities by name.
         settings: What the map depends on, for JSON. If there is a partial map with the same settings, it is continued.
+        regions: How many there are.
         force: Replace a map that is there, at the end.
+        share: The part that is grown here, while other processes grow the others.
 
     Raises:
         InputError: For a partial map with other settings, one that another process is writing, and for an error of the
@@ -82,12 +113,30 @@ def growing_map(
     settings = json.loads(json.dumps(settings))
     with write_errors_of(path):
         if not partial.exists():
-            _begin(partial, settings)
-        with _claimed(partial, settings), _journal(partial, coordinates, variables) as journal:
+            _begin(partial, settings, coordinates, variables)
+        with _claimed(partial, settings, share), _journal(partial, coordinates, variables, share) as journal:
             arrays = dict(zarr.open_group(partial / MAP, mode="r+").arrays())
             yield GrowingMap({name: arrays[name] for name in variables}, journal, recorded(path))
-        _publish(partial / MAP, path, force)
-        shutil.rmtree(partial)
+        if len(recorded(path)) == regions:
+            # Of parts that end at a time, each has given up its claim before it looks: one finds all there, and no other
+            with _last(partial, share) as publish:
+                if publish:
+                    _sweep(partial)
+                    _publish(partial / MAP, path, force)
+                    shutil.rmtree(partial)
+
+
+def settings_in(path: Path) -> dict[str, Any]:
+    """The settings of the unfinished map at `path`."""
+    return json.loads((partial_path(path) / SETTINGS).read_text())
+
+
+def write_chunks(path: Path, places: Mapping[str, tuple[slice, ...]], values: Mapping[str, np.ndarray]) -> None:
+    """Writes a region of the unfinished map at `path`, for the process that keeps its journal."""
+    with write_errors_of(path):
+        arrays = dict(zarr.open_group(partial_path(path) / MAP, mode="r+").arrays())
+        for name, value in values.items():
+            arrays[name][places[name] or ...] = value
 
 
 def partial_path(path: Path) -> Path:
@@ -97,27 +146,34 @@ def partial_path(path: Path) -> Path:
 
 def recorded(path: Path) -> set[int]:
     """Numbers of the regions of the map at `path` that an unfinished run has written."""
-    partial = partial_path(path)
-    if not (partial / MAP).exists() or not (partial / JOURNAL).exists():
-        return set()
-    whole, _, _ = (partial / JOURNAL).read_bytes().rpartition(b"\n")  # a line without an end is not to be trusted
-    return set(map(int, whole.split()))
+    partial, found = partial_path(path), set[int]()
+    for journal in partial.glob(f"{JOURNAL}*") if (partial / MAP).exists() else ():
+        whole, _, _ = journal.read_bytes().rpartition(b"\n")  # a line without an end is not to be trusted
+        found |= set(map(int, whole.split()))
+    return found
 
 
-def _begin(partial: Path, settings: Mapping[str, Any]) -> None:
-    """Makes the directory, with the settings in it from the first moment on."""
+def _begin(partial: Path, settings: Mapping[str, Any], coordinates: xr.Dataset, variables: Mapping[str, Variable]) -> None:
+    """Makes the directory, with all that it needs in it from the first moment on; of processes that do so at a time, one
+    does.
+    """
     temporary = temporary_beside(partial)
     try:
         temporary.mkdir()
         (temporary / SETTINGS).write_text(json.dumps(settings))
+        _make(temporary / MAP, coordinates, variables)
+        (temporary / JOURNAL).touch()
         os.rename(temporary, partial)
+    except OSError:
+        if not (partial / SETTINGS).exists():
+            raise
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
 
 
 @contextmanager
-def _claimed(partial: Path, settings: Mapping[str, Any]) -> Iterator[None]:
-    """Raises InputError unless the directory belongs to this map, and to no other process."""
+def _claimed(partial: Path, settings: Mapping[str, Any], share: Share) -> Iterator[None]:
+    """Raises InputError unless the directory belongs to this map, and this share to no other process."""
     try:
         found = json.loads((partial / SETTINGS).read_text())
     except (OSError, ValueError):
@@ -128,31 +184,61 @@ def _claimed(partial: Path, settings: Mapping[str, Any]) -> Iterator[None]:
             f"{partial}: an unfinished map with other {other} (finish it with the same settings, or remove the directory)"
         )
     with open(partial / SETTINGS, "rb") as handle:
-        with suppress(ImportError):  # where the system has no such locks, the user has to take care
-            import fcntl
-
-            try:
-                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                raise InputError(f"{partial}: another process is writing it") from None
+        if not _locked(handle, shared=share.of > 1):
+            raise InputError(f"{partial}: another process is writing it")
         yield
 
 
 @contextmanager
-def _journal(partial: Path, coordinates: xr.Dataset, variables: Mapping[str, Variable]) -> Iterator[BinaryIO]:
+def _last(partial: Path, share: Share) -> Iterator[bool]:
+    """Whether this process is the one that ends the map: no other is writing it."""
+    try:
+        handle = open(partial / SETTINGS, "rb")  # noqa: SIM115
+    except FileNotFoundError:
+        if share.of == 1:
+            raise
+        yield False  # it has been ended
+        return
+    with handle:
+        yield _locked(handle, shared=False)
+
+
+def _locked(handle: BinaryIO, *, shared: bool) -> bool:
+    """Whether the lock is ours until the file is closed; where the system has no such locks, the user has to take care."""
+    with suppress(ImportError):
+        import fcntl
+
+        try:
+            fcntl.flock(handle, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return False
+    return True
+
+
+@contextmanager
+def _journal(partial: Path, coordinates: xr.Dataset, variables: Mapping[str, Variable], share: Share) -> Iterator[BinaryIO]:
     """The journal, open for more lines; beside it the map, which is made if it is not there."""
-    journal = partial / JOURNAL
-    if not (partial / MAP).exists():
-        journal.unlink(missing_ok=True)
-    if not journal.exists():
-        _make(partial / MAP, coordinates, variables)
-        journal.touch()
-    for stray in (partial / MAP).rglob("*.partial"):  # of chunks, by a run that was killed
-        stray.unlink()
+    journal = partial / share.journal
+    if share.of == 1:
+        if not (partial / MAP).exists():
+            for old in partial.glob(f"{JOURNAL}*"):
+                old.unlink()
+        if not journal.exists():
+            _make(partial / MAP, coordinates, variables)
+        _sweep(partial)
+    journal.touch()
     with open(journal, "r+b") as handle:
+        if not _locked(handle, shared=False):
+            raise InputError(f"{journal}: another process is writing it")
         handle.truncate(handle.read().rfind(b"\n") + 1)
         handle.seek(0, os.SEEK_END)
         yield handle
+
+
+def _sweep(partial: Path) -> None:
+    """Removes what a run that was killed has left of chunks."""
+    for stray in (partial / MAP).rglob("*.partial"):
+        stray.unlink()
 
 
 def _make(path: Path, coordinates: xr.Dataset, variables: Mapping[str, Variable]) -> None:
