@@ -67,4 +67,6 @@ def test_what_cannot_be_is_named(given, change, words, capsys, monkeypatch, tmp_
 
 def test_help(capsys):
     main(["next", "--help"])
-    assert "SURFACES is YAML" in capsys.readouterr().out
+    text = capsys.readouterr().out
+    assert "SURFACES is YAML" in text
+    assert max(map(len, text.splitlines())) <= 80

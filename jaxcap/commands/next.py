@@ -21,16 +21,17 @@ from jaxcap.files.whole_file import check_output, whole_file
 from jaxcap.regions.next_contact import NextContacts, next_contacts
 from jaxcap.version import __version__
 
-NEXT = """Find the next contact: where must a hand or a foot go so that the robot can stop?
+NEXT = """Find the next contact: where a hand or foot must go so that a robot stops.
 
 EXAMPLES
-  jaxcap next pushed.parquet --contacts feet.yaml --surfaces room.yaml
+  jaxcap next pushed.parquet --contacts feet.yaml --surfaces room.yaml \\
       --delay 0.3 -o next.npz
 
-Until the new contact bears, the robot brakes as hard as its present contacts
-allow; then it is asked whether it can stop with the new one. Contacts bear
-whatever friction allows, arms do not: the answer ranks the places, and rules
-out those that do not help.
+WHAT IS ASKED
+  Until the new contact bears, the robot brakes as hard as its present contacts
+  allow; then: can it stop with the new one? Contacts bear whatever friction
+  allows, arms do not: the answer ranks the places, and rules out those that do
+  not help.
 
 STATES and CONTACTS are those of jaxcap score; one contact set for all states.
 
