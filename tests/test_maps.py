@@ -19,7 +19,8 @@ from jaxcap.errors import InputError, MissingExtra
 from jaxcap.files.contact_files import read_contacts
 from jaxcap.files.fields import MAPPED
 from jaxcap.maps import blocks as map_blocks
-from jaxcap.maps import kernel, kernel_map, write_map
+from jaxcap.maps import kernel_map, write_map
+from jaxcap.maps.asked import checked, prepared
 from jaxcap.maps.grid import AXES, grid_of
 from jaxcap.one_state.decision import LIMITS, WALKED
 
@@ -347,7 +348,7 @@ def test_what_a_map_says_of_itself(tmp_path):
 
 
 def test_the_dtype_of_the_axes_decides(x64):
-    of = lambda **axes: kernel._checked(FEET, {**PLACE, **axes}, None, None).dtype
+    of = lambda **axes: checked(FEET, {**PLACE, **axes}, None, None).dtype
     assert of(heading=np.zeros(1, np.float32)) == np.float32
     assert of(heading=np.zeros(1)) == of(heading="0:1:4") == of(heading=[0, 1]) == np.float64
     assert of(heading=np.zeros(1, np.float32), com_x=np.zeros(1)) == np.float64
@@ -555,5 +556,5 @@ def test_netcdf_without_its_packages(tmp_path, monkeypatch, no_computing):
 
 def test_settings_are_json():
     """What decides whether a map may be continued is written down, and is the same when it is read."""
-    _, about = kernel._prepared(FEET, kernel._checked(FEET, POINTS, None, None), (0, 0, -9.81), 4, False)
+    _, about = prepared(FEET, checked(FEET, POINTS, None, None), (0, 0, -9.81), 4, False)
     assert json.loads(json.dumps(about.settings)) == about.settings

@@ -130,7 +130,8 @@ def map_kernel(
         strict: What is hardly plausible is an error, not a note.
         force: Overwrite OUT if it exists.
     """
-    from jaxcap.maps.kernel import notes_of, write_map
+    from jaxcap.maps.asked import notes_of
+    from jaxcap.maps.kernel import write_map
 
     if sides < 3:
         raise InputError(f"--sides {sides} (expected at least 3)")
@@ -172,7 +173,7 @@ def _elsewhere(where: Where, keep: Keep, output: Path, force: bool) -> Iterator[
     if where == Where():
         yield None
         return
-    from jaxcap.maps.kernel import Elsewhere
+    from jaxcap.maps.region_work import Elsewhere
     from jaxcap.maps.store import Share
 
     shard = shard_of(where.shard)

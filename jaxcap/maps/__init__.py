@@ -1,7 +1,8 @@
 """Answers over grids: kernel maps in memory, Zarr or netCDF. `kernel_map` and `write_map` need the extra `maps`.
 
-Begin with `kernel`, then `grid` (axes), `blocks` (how a grid is cut and answered), `store` (files that grow and
-resume). May import every room but `plotting` and `commands`.
+Begin with `kernel`, then `asked` (what a map is asked for), `grid` (axes), `blocks` (how a grid is cut and answered),
+`store` (files that grow and resume), `region_work` (regions in other processes). May import every room but
+`plotting` and `commands`.
 """
 
 from importlib import import_module
