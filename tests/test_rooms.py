@@ -19,8 +19,8 @@ ORDER = (
     "exported",
     "files",
     "robots",
-    "maps",
     "engine",
+    "maps",
     "plotting",
     "commands",
 )

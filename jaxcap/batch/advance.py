@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Num
 
-from jaxcap.batch.blocks import BLOCK, RAYS_BLOCK, block_of, over_blocks, over_chunks, padded_cone
-from jaxcap.contacts.actuation import ActuatedRays, Actuation, actuated
+from jaxcap.batch.blocks import BLOCK, RAYS_BLOCK, block_of, over_blocks, over_chunks, own_or_common
+from jaxcap.contacts.actuation import ActuatedRays, Actuation, with_limits
 from jaxcap.contacts.cone import CentroidalCone, ConeRays
 from jaxcap.contacts.conventions import GRAVITY, ArrayLike, checked_gravity
 from jaxcap.contacts.scoring_input import check_cone, relative, rounded
@@ -66,7 +66,7 @@ def advance(
     many = com.ndim == 2
     duration = checked_times("duration", duration, (len(com),) if many else ())
     near, position = relative(cone, com)
-    limited = near if actuation is None else actuated(near, actuation, 0.0, len(com) if many else None)
+    limited = with_limits(near, actuation, 0.0, len(com) if many else None)
     states = position, rounded(velocity), rounded(duration)
     found = _of_rows(limited, states, gravity) if many else advance_of_lanes(limited, *states, gravity)
     # Positions far from the origin keep their precision: it is the difference that was computed.
@@ -119,8 +119,7 @@ def _check_shapes(cone: CentroidalCone | ConeRays, com: Any, velocity: Any) -> N
 
 def _of_rows(cone: Cone, states: tuple[Any, Any, Any], gravity: ArrayLike) -> Moved:
     coms, velocities, durations = states
-    own = cone if isinstance(cone, ConeRays | ActuatedRays) and cone.batched else None
-    common = None if own is not None else cone if isinstance(cone, ActuatedRays) else padded_cone(cone)
+    own, common = own_or_common(cone)
     rows = _Rows(coms, velocities, durations, own)
     pull = jnp.asarray(gravity, jnp.result_type(coms, jnp.float32))
     if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves((rows, common, pull))):

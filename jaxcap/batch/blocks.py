@@ -15,8 +15,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxcap.contacts.actuation import ActuatedRays
 from jaxcap.contacts.cone import CentroidalCone, ConeRays
 from jaxcap.numerics.whole import ceil_div, round_up
+from jaxcap.one_state.line import Cone
 
 BLOCK = 1 << 13
 """States of a block, one call of the compiled program; several run at a time."""
@@ -31,6 +33,14 @@ LANES = 64
 def padded_cone(cone: CentroidalCone | ConeRays) -> CentroidalCone | ConeRays:
     """The same, faces padded to a multiple of ROWS."""
     return cone.padded(round_up(max(len(cone.faces), 1), ROWS)) if isinstance(cone, CentroidalCone) else cone
+
+
+def own_or_common(cone: Cone) -> tuple[ConeRays | ActuatedRays | None, Cone | None]:
+    """The cones of each state, or the one of all; the other is None."""
+    own = cone if isinstance(cone, ConeRays | ActuatedRays) and cone.batched else None
+    if own is not None:
+        return own, None
+    return None, cone if isinstance(cone, ActuatedRays) else padded_cone(cone)
 
 
 def over_blocks(run: Callable[[int], Any], n: int, block: int) -> Any:

@@ -7,11 +7,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxcap.batch.blocks import BLOCK, RAYS_BLOCK, block_of, over_blocks, padded_cone
+from jaxcap.batch.blocks import BLOCK, RAYS_BLOCK, block_of, over_blocks, own_or_common
 from jaxcap.batch.devices import Spread, spread_over
 from jaxcap.batch.rounds import Shared, States, scored_block
 from jaxcap.batch.second_opinion import decided
-from jaxcap.contacts.actuation import ActuatedRays, Actuation, with_limits
+from jaxcap.contacts.actuation import Actuation, with_limits
 from jaxcap.contacts.cone import CentroidalCone, ConeRays
 from jaxcap.contacts.conventions import GRAVITY, ArrayLike, checked_gravity
 from jaxcap.contacts.scoring_input import check_cone, relative, rounded, unless_zero
@@ -68,9 +68,8 @@ def score(
     momenta = unless_zero(rounded(specific_angular_momentum))
     momenta = None if momenta is None else jnp.asarray(momenta)
     limited = with_limits(cone, actuation, momentum_box, len(coms))
-    own = limited if isinstance(limited, ConeRays | ActuatedRays) and limited.batched else None
+    own, common = own_or_common(limited)
     states = States(coms, com_velocities, own, momenta)
-    common = None if own else limited if isinstance(limited, ActuatedRays) else padded_cone(limited)
     shared = Shared(jnp.asarray(gravity, jnp.result_type(coms, jnp.float32)), common)
     if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves((states, shared.cone))):
         return scored_block(shared, states, neighbours)

@@ -174,7 +174,6 @@ def _elsewhere(where: Where, keep: Keep, output: Path, force: bool) -> Iterator[
         yield None
         return
     from jaxcap.maps.region_work import Elsewhere
-    from jaxcap.maps.store import Share
 
     shard = shard_of(where.shard)
     if force and shard.of > 1:
@@ -183,7 +182,7 @@ def _elsewhere(where: Where, keep: Keep, output: Path, force: bool) -> Iterator[
         raise InputError(f"{where.given} (expected with a .zarr map, {output} is computed in one process)")
     with place_of(where) as place:
         run = None if isinstance(place, Here) else partial(_over, place, keep)
-        yield Elsewhere(run, place.about["backend"], Share(*shard))
+        yield Elsewhere(run, place.about["backend"], shard)
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,6 @@ Readers of datasets leave out names with an underscore. Any number of processes 
 
 import hashlib
 import json
-import os
 import shutil
 from collections.abc import Mapping
 from contextlib import suppress
@@ -17,7 +16,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from jaxcap.errors import InputError
-from jaxcap.files.whole_file import temporary_beside, whole_file, write_errors_of
+from jaxcap.files.settings import differences
+from jaxcap.files.whole_file import whole_file, whole_folder, write_errors_of
 
 OURS, SETTINGS, DONE, SUMMARY = "_jaxcap", "settings.json", "done", "_SUMMARY.json"
 
@@ -92,16 +92,8 @@ def hash_of(settings: Mapping[str, Any]) -> str:
 
 def _begin(ours: Path, settings: Mapping[str, Any]) -> None:
     """The settings appear together with their folder; where two processes begin at a time, one does."""
-    temporary = temporary_beside(ours)
-    try:
-        temporary.mkdir()
-        (temporary / SETTINGS).write_text(json.dumps(settings, indent=1))
-        os.rename(temporary, ours)
-    except OSError:
-        if not (ours / SETTINGS).exists():
-            raise
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
+    with whole_folder(ours) as folder:
+        (folder / SETTINGS).write_text(json.dumps(settings, indent=1))
 
 
 def _check(path: Path, settings: Mapping[str, Any]) -> None:
@@ -109,8 +101,7 @@ def _check(path: Path, settings: Mapping[str, Any]) -> None:
         found = json.loads(path.read_text())
     except (OSError, ValueError):
         raise InputError(f"{path}: cannot be read (expected the settings of an earlier run)") from None
-    other = [name for name in {**settings, **found} if settings.get(name) != found.get(name)]
-    if other:
+    if other := differences(settings, found):
         shown = ", ".join(
             f"{name} {_short(found.get(name))} there and {_short(settings.get(name))} now" for name in other[:3]
         )

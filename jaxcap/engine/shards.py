@@ -23,10 +23,14 @@ class Shard(NamedTuple):
         return f"{self.number}/{self.of}"
 
 
+WHOLE = Shard(0, 1)
+"""All, as one."""
+
+
 def shard_of(text: str | None) -> Shard:
     """The shard "i/n", i from 0 to n - 1; None: all, as one. Raises InputError."""
     if text is None:
-        return Shard(0, 1)
+        return WHOLE
     found = re.fullmatch(r"(\d{1,9})/(\d{1,9})", text)
     if found is None:
         raise InputError(f"--shard {text} (expected i/n, for example 0/3)")

@@ -2,6 +2,7 @@
 
 import os
 import secrets
+import shutil
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -83,6 +84,25 @@ def whole_file(path: Path, *, force: bool) -> Iterator[BinaryIO]:
         finally:
             with suppress(OSError):
                 temporary.unlink()
+
+
+@contextmanager
+def whole_folder(path: Path) -> Iterator[Path]:
+    """A new folder under a temporary name, which takes the name `path`, full, when the block ends without an error.
+
+    Of processes that make it at a time one does, and the others find it there.
+    """
+    temporary = temporary_beside(path)
+    try:
+        temporary.mkdir()
+        yield temporary
+        try:
+            os.rename(temporary, path)
+        except OSError:
+            if not path.exists():
+                raise
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
 
 
 def temporary_beside(path: Path) -> Path:

@@ -134,9 +134,9 @@ def write_map(
     _check_disk(path, asked.bytes * (1 - len(recorded(path)) / len(regions(asked.grid))))
     other = elsewhere or Elsewhere()
     answers, about = prepared(cone, asked, gravity, sides, progress, other.backend)
-    growing: dict[str, Any] = {"regions": len(answers.regions), "force": force, "share": other.share}
+    growing: dict[str, Any] = {"regions": len(answers.regions), "force": force, "shard": other.shard}
     with growing_map(path, about.coordinates, about.variables, about.settings, **growing) as store:
-        ours = range(other.share.number, len(answers.regions), other.share.of)
+        ours = other.shard.part(list(range(len(answers.regions))))
         todo = [number for number in ours if number not in store.done]
         total, computed = (sum(answers.states(answers.regions.region(number)) for number in some) for some in (ours, todo))
         work = RegionWork(

@@ -10,11 +10,13 @@ import jax
 
 from jaxcap.contacts.cone import CentroidalCone, ConeRays
 from jaxcap.contacts.conventions import ArrayLike
+from jaxcap.engine.shards import WHOLE, Shard
 from jaxcap.errors import InputError
+from jaxcap.files.settings import differences
 from jaxcap.maps.asked import checked, prepared
 from jaxcap.maps.blocks import Answers
 from jaxcap.maps.contact_axes import Contacts
-from jaxcap.maps.store import WHOLE, Share, partial_path, settings_in, write_chunks
+from jaxcap.maps.store import partial_path, settings_in, write_chunks
 
 
 class Elsewhere(NamedTuple):
@@ -25,7 +27,7 @@ class Elsewhere(NamedTuple):
     those that are done. None: this process does."""
     backend: str | None = None
     """Of JAX, there."""
-    share: Share = WHOLE
+    shard: Shard = WHOLE
     """The part of the map that is grown."""
 
 
@@ -57,11 +59,8 @@ class RegionWork:
             asked = checked(self.cone, self.axes, self.quantities, self.dtype)
             answers, about = prepared(self.cone, asked, self.gravity, self.sides, progress=False)
             here = json.loads(json.dumps(about.settings))
-            other = next((name for name in {**settings, **here} if settings.get(name) != here.get(name)), None)
-            if other is not None:
-                raise InputError(
-                    f"{self.path}: {other} of the map is {settings.get(other)} (a worker has {here.get(other)})"
-                )
+            for name in differences(settings, here)[:1]:
+                raise InputError(f"{self.path}: {name} of the map is {settings.get(name)} (a worker has {here.get(name)})")
             _KEPT.clear()
             _KEPT[key] = answers
         if settings_in(self.path) != settings:

@@ -23,8 +23,10 @@ import xarray as xr
 import zarr
 from zarr.codecs import BloscCodec
 
+from jaxcap.engine.shards import WHOLE, Shard
 from jaxcap.errors import InputError
-from jaxcap.files.whole_file import refuse_late_comer, temporary_beside, write_errors_of
+from jaxcap.files.settings import differences
+from jaxcap.files.whole_file import refuse_late_comer, temporary_beside, whole_folder, write_errors_of
 
 MAP, SETTINGS, JOURNAL = "map.zarr", "settings.json", "journal"
 ABSENT = -1
@@ -68,19 +70,9 @@ class GrowingMap:
         self.done.add(number)
 
 
-class Share(NamedTuple):
-    """One of several parts of a map, each grown by a command of its own."""
-
-    number: int = 0
-    of: int = 1
-
-    @property
-    def journal(self) -> str:
-        """Name of its journal."""
-        return JOURNAL if self.of == 1 else f"{JOURNAL}.{self.number}-{self.of}"
-
-
-WHOLE = Share()
+def _journal_of(shard: Shard) -> str:
+    """Name of the journal of a part of the map, grown by a command of its own."""
+    return JOURNAL if shard.of == 1 else f"{JOURNAL}.{shard.number}-{shard.of}"
 
 
 @contextmanager
@@ -92,7 +84,7 @@ def growing_map(
     *,
     regions: int,
     force: bool,
-    share: Share = WHOLE,
+    shard: Shard = WHOLE,
 ) -> Iterator[GrowingMap]:
     """The map at `path`, in a `with` block; when that ends without an error and all is there, it takes its name.
 
@@ -103,7 +95,7 @@ def growing_map(
         settings: What the map depends on, for JSON. If there is a partial map with the same settings, it is continued.
         regions: How many there are.
         force: Replace a map that is there, at the end.
-        share: The part that is grown here, while other processes grow the others.
+        shard: The part that is grown here, while other processes grow the others.
 
     Raises:
         InputError: For a partial map with other settings, one that another process is writing, and for an error of the
@@ -114,12 +106,12 @@ def growing_map(
     with write_errors_of(path):
         if not partial.exists():
             _begin(partial, settings, coordinates, variables)
-        with _claimed(partial, settings, share), _journal(partial, coordinates, variables, share) as journal:
+        with _claimed(partial, settings, shard), _journal(partial, coordinates, variables, shard) as journal:
             arrays = dict(zarr.open_group(partial / MAP, mode="r+").arrays())
             yield GrowingMap({name: arrays[name] for name in variables}, journal, recorded(path))
         if len(recorded(path)) == regions:
             # Of parts that end at a time, each has given up its claim before it looks: one finds all there, and no other
-            with _last(partial, share) as publish:
+            with _last(partial, shard) as publish:
                 if publish:
                     _sweep(partial)
                     _publish(partial / MAP, path, force)
@@ -157,45 +149,36 @@ def _begin(partial: Path, settings: Mapping[str, Any], coordinates: xr.Dataset, 
     """Makes the directory, with all that it needs in it from the first moment on; of processes that do so at a time, one
     does.
     """
-    temporary = temporary_beside(partial)
-    try:
-        temporary.mkdir()
-        (temporary / SETTINGS).write_text(json.dumps(settings))
-        _make(temporary / MAP, coordinates, variables)
-        (temporary / JOURNAL).touch()
-        os.rename(temporary, partial)
-    except OSError:
-        if not (partial / SETTINGS).exists():
-            raise
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
+    with whole_folder(partial) as folder:
+        (folder / SETTINGS).write_text(json.dumps(settings))
+        _make(folder / MAP, coordinates, variables)
+        (folder / JOURNAL).touch()
 
 
 @contextmanager
-def _claimed(partial: Path, settings: Mapping[str, Any], share: Share) -> Iterator[None]:
-    """Raises InputError unless the directory belongs to this map, and this share to no other process."""
+def _claimed(partial: Path, settings: Mapping[str, Any], shard: Shard) -> Iterator[None]:
+    """Raises InputError unless the directory belongs to this map, and this part of it to no other process."""
     try:
         found = json.loads((partial / SETTINGS).read_text())
     except (OSError, ValueError):
         raise InputError(f"{partial}: is in the way: not an unfinished map (move it elsewhere)") from None
-    other = next((name for name in {**settings, **found} if settings.get(name) != found.get(name)), None)
-    if other is not None:
+    for name in differences(settings, found)[:1]:
         raise InputError(
-            f"{partial}: an unfinished map with other {other} (finish it with the same settings, or remove the directory)"
+            f"{partial}: an unfinished map with other {name} (finish it with the same settings, or remove the directory)"
         )
     with open(partial / SETTINGS, "rb") as handle:
-        if not _locked(handle, shared=share.of > 1):
+        if not _locked(handle, shared=shard.of > 1):
             raise InputError(f"{partial}: another process is writing it")
         yield
 
 
 @contextmanager
-def _last(partial: Path, share: Share) -> Iterator[bool]:
+def _last(partial: Path, shard: Shard) -> Iterator[bool]:
     """Whether this process is the one that ends the map: no other is writing it."""
     try:
         handle = open(partial / SETTINGS, "rb")  # noqa: SIM115
     except FileNotFoundError:
-        if share.of == 1:
+        if shard.of == 1:
             raise
         yield False  # it has been ended
         return
@@ -216,10 +199,10 @@ def _locked(handle: BinaryIO, *, shared: bool) -> bool:
 
 
 @contextmanager
-def _journal(partial: Path, coordinates: xr.Dataset, variables: Mapping[str, Variable], share: Share) -> Iterator[BinaryIO]:
+def _journal(partial: Path, coordinates: xr.Dataset, variables: Mapping[str, Variable], shard: Shard) -> Iterator[BinaryIO]:
     """The journal, open for more lines; beside it the map, which is made if it is not there."""
-    journal = partial / share.journal
-    if share.of == 1:
+    journal = partial / _journal_of(shard)
+    if shard.of == 1:
         if not (partial / MAP).exists():
             for old in partial.glob(f"{JOURNAL}*"):
                 old.unlink()
