@@ -98,6 +98,7 @@ def in_two_rounds(
     def first(rows: tuple[States, Survey | None]) -> _Glance:
         motion = _motion(shared, *rows, quick=True)
         line = motion.line
+        assert line.skipped is not None, "this was a quick look"
         return _Glance(answer(motion), line.skipped, line.lower.pieces.slope[-1], _lean(line.survey))
 
     glance = over_chunks(first, (states, surveys), lanes)
