@@ -13,8 +13,8 @@ from jax.experimental.compilation_cache.compilation_cache import reset_cache
 FOLDER = "jax_compilation_cache_dir"
 """JAX's setting that names the folder; None: nothing is kept."""
 
-WORTH_KEEPING = 0.5
-"""Programs that take longer to compile are kept [s]."""
+WORTH_KEEPING = 0.0
+"""Programs that take longer to compile are kept [s]: also single operations, 10 ms each, of which making rays has fifty."""
 
 
 def keep_programs(directory: str | Path | None = None) -> Path:
