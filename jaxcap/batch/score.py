@@ -9,6 +9,7 @@ import numpy as np
 
 from jaxcap.batch.blocks import BLOCK, RAYS_BLOCK, Block, block_of, over_blocks, own_or_common, to_host
 from jaxcap.batch.devices import Spread, spread_over
+from jaxcap.batch.kept_executables import Kept
 from jaxcap.batch.rounds import Shared, States, scored_block
 from jaxcap.batch.second_opinion import decided
 from jaxcap.contacts.actuation import Actuation, with_limits
@@ -110,7 +111,7 @@ def _check_shapes(cone: CentroidalCone | ConeRays, coms: Any, com_velocities: An
         raise TypeError(f"cone has rays of {len(cone.rays)} contact sets (expected one, or one for each of {n} states)")
 
 
-_compiled = jax.jit(scored_block, static_argnames="neighbours")
+_compiled = Kept(scored_block, static=1)
 
 
 @cache
