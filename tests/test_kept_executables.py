@@ -30,7 +30,7 @@ def fresh() -> Kept:
         TRACED.append(power)
         return given.values**power * (1 if given.factor is None else given.factor)
 
-    return Kept(scaled, static=1)
+    return Kept(scaled, "power")
 
 
 VALUES = np.arange(4, dtype=np.float32)
@@ -50,13 +50,18 @@ def files(folder):
 def another_process(given, power=2):
     """What it answers, and whether it had to trace."""
     before = len(TRACED)
-    answer = fresh()(given, power)
+    answer = fresh()(given, power=power)
     return np.asarray(answer).tolist(), len(TRACED) > before
 
 
 def test_who_asks_the_same_traces_nothing(folder):
     kept = fresh()
-    assert kept(Given(VALUES), 2).tolist() == [0, 1, 4, 9] and kept(Given(VALUES + 1), 2).tolist() == [1, 4, 9, 16]
+    assert kept(Given(VALUES), power=2).tolist() == [0, 1, 4, 9] and kept(Given(VALUES + 1), power=2).tolist() == [
+        1,
+        4,
+        9,
+        16,
+    ]
     assert len(TRACED) == len(files(folder)) == 1 and files(folder)[0].stat().st_mode & 0o777 == 0o600
     assert another_process(Given(VALUES + 1)) == ([1, 4, 9, 16], False)
     assert another_process(Given(jnp.asarray(VALUES))) == ([0, 1, 4, 9], False)
@@ -132,7 +137,7 @@ def test_nothing_is_kept_unless_asked(tmp_path):
 def test_placed_or_traced_arrays_are_left_to_jax(folder):
     placed = jax.device_put(VALUES, jax.devices()[0])
     assert another_process(Given(placed)) == ([0, 1, 4, 9], True)
-    assert jax.jit(lambda x: fresh()(Given(x), 2))(VALUES).tolist() == [0, 1, 4, 9]
+    assert jax.jit(lambda x: fresh()(Given(x), power=2))(VALUES).tolist() == [0, 1, 4, 9]
     with jax.debug_nans(True):
         another_process(Given(VALUES))
     assert not files(folder)

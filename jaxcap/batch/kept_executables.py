@@ -25,7 +25,7 @@ from jax.experimental import serialize_executable
 from jaxcap.batch.kept_programs import kept_in
 from jaxcap.version import __version__
 
-ROOMS = ("numerics", "contacts", "one_state", "batch")
+ROOMS = ("numerics", "contacts", "one_state", "batch", "maps")
 """Programs are made of these."""
 PRECISION = ("jax_enable_x64", "jax_default_matmul_precision")
 """Settings of JAX that users change from call to call; the others are looked at when a program is first asked for."""
@@ -39,27 +39,25 @@ class Kept:
     """`jax.jit` of a function, whose programs are kept ready where `keep_programs` says; where it was not asked, `jax.jit`.
 
     Args:
-        function: Of trees of arrays and, last, of values that the program depends on.
-        static: How many of these there are.
+        function: Of trees of arrays and, by name, of values that the program depends on.
+        static: The names of these.
     """
 
-    def __init__(self, function: Callable, static: int = 0):
-        self.jitted = jax.jit(function, static_argnums=tuple(range(-static, 0)))
-        self._name, self._static = f"{function.__module__}.{function.__name__}", static
+    def __init__(self, function: Callable, *static: str):
+        self.jitted = jax.jit(function, static_argnames=static)
+        self._name = f"{function.__module__}.{function.__name__}"
         self._ready: dict[Any, Callable] = {}
 
-    def __call__(self, *arguments: Any) -> Any:
+    def __call__(self, *arrays: Any, **static: Any) -> Any:
         """As the function."""
-        count = len(arguments) - self._static
-        arrays, static = arguments[:count], arguments[count:]
         leaves, tree = jax.tree.flatten(arrays)
         folder = kept_in()
         if folder is None or not _plain(leaves):
-            return self.jitted(*arguments)
+            return self.jitted(*arrays, **static)
         shapes = tuple((leaf.shape, str(jax.dtypes.canonicalize_dtype(leaf.dtype))) for leaf in leaves)
-        asked = tree, shapes, static, *map(_setting, PRECISION)
+        asked = tree, shapes, tuple(sorted(static.items())), *map(_setting, PRECISION)
         if (folder, asked) not in self._ready:
-            self._ready[folder, asked] = self._made(folder / f"{self._digest(asked)}.program", arguments)
+            self._ready[folder, asked] = self._made(folder / f"{self._digest(asked)}.program", arrays, static)
         return self._ready[folder, asked](*arrays)
 
     def _digest(self, asked: tuple) -> str:
@@ -67,11 +65,11 @@ class Kept:
         told = self._name, *map(str, asked), settings, _library(), _machine()
         return hashlib.sha256(repr(told).encode()).hexdigest()
 
-    def _made(self, path: Path, arguments: tuple) -> Callable:
+    def _made(self, path: Path, arrays: tuple, static: dict[str, Any]) -> Callable:
         """Taken from the folder, or compiled and put there."""
         program = _taken(path)
         if program is None:
-            program = self.jitted.lower(*arguments).compile()
+            program = self.jitted.lower(*arrays, **static).compile()
             _put(path, program)
         return program
 

@@ -93,7 +93,7 @@ def _over_devices(shared: Shared, states: States, neighbours: bool) -> Capturabi
 
 
 def _one_block(shared: Shared, block: Block, neighbours: bool) -> Capturability:
-    return _compiled(shared._replace(filled=block.filled), block.rows, neighbours)
+    return _compiled(shared._replace(filled=block.filled), block.rows, neighbours=neighbours)
 
 
 def _check_shapes(cone: CentroidalCone | ConeRays, coms: Any, com_velocities: Any, momenta: Any) -> None:
@@ -111,7 +111,7 @@ def _check_shapes(cone: CentroidalCone | ConeRays, coms: Any, com_velocities: An
         raise TypeError(f"cone has rays of {len(cone.rays)} contact sets (expected one, or one for each of {n} states)")
 
 
-_compiled = Kept(scored_block, static=1)
+_compiled = Kept(scored_block, "neighbours")
 
 
 @cache
