@@ -31,7 +31,8 @@ def keep_programs(directory: str | Path | None = None) -> Path:
     """From now on JAX keeps compiled programs in a folder and takes them from there; the command line does so by itself.
 
     The one function of jaxcap that changes settings of JAX, of the whole process: JAX's persistent compilation cache is
-    turned on, for the programs of everybody. The folder may be deleted at any time. What it holds is code: use none that
+    turned on, for the programs of everybody. Beside them, those of `score` and of maps are kept ready to run, and
+    found without tracing. The folder may be deleted at any time. What it holds is code: use none that
     is written to by anyone whom you do not trust.
 
     Args:
