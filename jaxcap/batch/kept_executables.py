@@ -85,17 +85,17 @@ def _plain(leaves: list[Any]) -> bool:
 def _taken(path: Path) -> Callable | None:
     """None if there is none that can be used."""
     try:
-        text = path.read_bytes()
+        data = path.read_bytes()
     except FileNotFoundError:
         return None
     except OSError as error:
         _note(path, error)
         return None
-    if hashlib.sha256(text[DIGEST:]).digest() != text[:DIGEST]:
+    if hashlib.sha256(data[DIGEST:]).digest() != data[:DIGEST]:
         _note(path, "it is damaged")
         return None
     try:
-        return serialize_executable.deserialize_and_load(*pickle.loads(zlib.decompress(text[DIGEST:])))
+        return serialize_executable.deserialize_and_load(*pickle.loads(zlib.decompress(data[DIGEST:])))
     except Exception as error:  # whatever another build of JAX makes of it: it is compiled again
         _note(path, error)
         return None
@@ -104,18 +104,14 @@ def _taken(path: Path) -> Callable | None:
 def _put(path: Path, program: Any) -> None:
     """Whole or not at all."""
     try:
-        text = zlib.compress(pickle.dumps(serialize_executable.serialize(program)), level=1)
+        data = zlib.compress(pickle.dumps(serialize_executable.serialize(program)), level=1)
     except (jax.errors.JaxRuntimeError, ValueError):
         return  # what JAX took from its own cache cannot be written once more
     try:
-        with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".partial", delete=False) as file:
-            try:
-                file.write(hashlib.sha256(text).digest() + text)
-                file.flush()
-                os.replace(file.name, path)
-            except OSError:
-                Path(file.name).unlink(missing_ok=True)
-                raise
+        with tempfile.TemporaryDirectory(dir=path.parent) as folder:
+            part = Path(folder) / path.name
+            part.write_bytes(hashlib.sha256(data).digest() + data)
+            os.replace(part, path)
     except OSError as error:
         _note(path, error)
 
