@@ -1,6 +1,6 @@
 """`advance` against steps of linear programs: position and speed of random states, by how they end.
 
-    python -m bench.braking_oracle [--states 1000] [--step 0.001] [--float32]
+    python -m bench.braking_oracle [--states 1000] [--step 0.002] [--float32]
 
 Each state has contacts of its own, two to four rectangles anywhere, a time from 0.05 to 0.2 s, and every second one an
 angular momentum; one in twenty has lost its contacts. The oracle (`reference/braking.py`) solves an LP for every step, of
@@ -19,6 +19,7 @@ import numpy as np
 
 import jaxcap
 from jaxcap import Case, Progress
+from jaxcap.batch.blocks import LANES
 from reference.braking import Braked, braked
 from reference.contacts import GRAVITY
 from tests.samplers import random_samples
@@ -109,6 +110,21 @@ def compared(sample: Sample, found: Any, i: int, step: float) -> tuple[str, Agai
     return oracle.ending, Against(agree, alpha, speed, ratio, abs(found.time[i] - oracle.time))
 
 
+def answered(sample: Sample, dtype: Any) -> tuple[np.ndarray, Any]:
+    """Each state's `Case`, and what `advance` says."""
+    cones = jax.tree.map(np.asarray, jaxcap.cone_rays(sample.contacts))
+    states = [field.astype(dtype) for field in (sample.coms, sample.velocities, sample.momenta)]
+    parts = []
+    for start in range(0, len(sample.coms), LANES):  # one program, however many states there are
+        own, (coms, velocities, momenta), times = jax.tree.map(
+            lambda field, start=start: field[start : start + LANES], (cones, states, sample.times)
+        )
+        case = jaxcap.score(own, coms, velocities, specific_angular_momentum=momenta).case
+        found = jaxcap.advance(own, coms, velocities, times, specific_angular_momentum=momenta)
+        parts.append(jax.tree.map(np.asarray, (case, found)))
+    return jax.tree.map(lambda *fields: np.concatenate(fields), *parts)
+
+
 def table(rows: dict[tuple[str, str], list[Against]]) -> None:
     """Prints it."""
     print(
@@ -132,17 +148,13 @@ def main() -> None:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--states", type=int, default=1000)
-    parser.add_argument("--step", type=float, default=0.001, help="[s]")
+    parser.add_argument("--step", type=float, default=0.002, help="[s]")
     parser.add_argument("--float32", action="store_true", help="`advance` in single precision")
     options = parser.parse_args()
     sample = drawn(options.states)
     dtype = np.float32 if options.float32 else np.float64
     with jax.enable_x64(not options.float32):
-        cones = jaxcap.cone_rays(sample.contacts)
-        coms, velocities, momenta = (field.astype(dtype) for field in (sample.coms, sample.velocities, sample.momenta))
-        spinning = {"specific_angular_momentum": momenta}
-        case = np.asarray(jaxcap.score(cones, coms, velocities, **spinning).case)
-        found = jax.tree.map(np.asarray, jaxcap.advance(cones, coms, velocities, sample.times, **spinning))
+        case, found = answered(sample, dtype)
     rows, later = defaultdict(list), 0
     for i in range(options.states):
         if case[i] == Case.C3_2_1:

@@ -228,11 +228,11 @@ def _latest(sets: _Sets, states: _States, horizon: float, there: np.ndarray) -> 
 
 def _touchdown(sets: _Sets, states: _States, delays: np.ndarray) -> _Touchdown:
     n, d = delays.shape
-    coms, velocities, momenta = jax.tree.map(lambda field: np.repeat(field, d, axis=0), states)
-    found = advance(
-        sets.during, coms, velocities, delays.reshape(-1), sets.gravity, specific_angular_momentum=momenta
-    )  # fmt: skip
-    place = lambda field: np.asarray(field).reshape(n, d, *field.shape[1:])
+    rows = _to_a_block(np.repeat(np.arange(n), d))
+    coms, velocities, momenta = jax.tree.map(lambda field: field[rows], states)
+    times = _to_a_block(delays.reshape(-1))
+    found = advance(sets.during, coms, velocities, times, sets.gravity, specific_angular_momentum=momenta)
+    place = lambda field: np.asarray(field)[: n * d].reshape(n, d, *field.shape[1:])
     progress = place(found.progress)
     lost = np.isin(progress, [Progress.TURNS, Progress.LEAVES]) & (delays > 0)
     spinning = found.specific_angular_momentum
@@ -265,15 +265,20 @@ def _scored(sets: _Sets, touchdown: _Touchdown, without: bool) -> tuple[np.ndarr
 
 def _scored_pairs(sets: _Sets, touchdown: _Touchdown, which: np.ndarray, state: np.ndarray) -> tuple[np.ndarray, ...]:
     """which: the set of each pair. state: its row in the states at touchdown."""
-    # The last again and again, to a size of a block: what JAX would cut and pad takes longer than the answer.
     p = len(which)
-    which, state = (np.pad(x, (0, max(LANES, 1 << (p - 1).bit_length()) - p), mode="edge") for x in (which, state))
+    which, state = _to_a_block(which), _to_a_block(state)
     vectors = touchdown.coms, touchdown.com_velocities, touchdown.momenta
     coms, velocities, momenta = jax.tree.map(lambda field: field.reshape(-1, 3)[state], vectors)
     cones = jax.tree.map(lambda leaf: leaf[which], sets.cones)
     limits = None if sets.actuation is None else jax.tree.map(lambda leaf: leaf[state % sets.candidates], sets.actuation)
     found = score(cones, coms, velocities, sets.gravity, specific_angular_momentum=momenta, actuation=limits)
     return tuple(np.asarray(field)[:p] for field in (found.margin, found.capturable, found.case, found.status))
+
+
+def _to_a_block(rows: np.ndarray) -> np.ndarray:
+    """The last again and again, to a size of a block: what JAX would cut and pad takes longer than the answer."""
+    size = max(LANES, 1 << max(len(rows) - 1, 0).bit_length())
+    return np.concatenate([rows, np.repeat(rows[-1:], size - len(rows))])
 
 
 def _sets(
