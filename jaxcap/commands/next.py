@@ -33,7 +33,8 @@ WHAT IS ASKED
   allows, arms do not: the answer ranks the places, and rules out those that do
   not help.
 
-STATES and CONTACTS are those of jaxcap score; one contact set for all states.
+STATES and CONTACTS are those of jaxcap score; one contact set for all states. A
+column specific_angular_momentum counts, as it does there.
 
 SURFACES is YAML (.yaml, .yml) or JSON (.json), in the frame of the contacts:
     surfaces:
@@ -165,7 +166,8 @@ def _found(
         for batch in source:
             state = batch.coms.astype(dtype), batch.com_velocities.astype(dtype)
             try:
-                parts.append(next_contacts(stance, *state, candidates.contacts, delay, **options))
+                spinning = {"specific_angular_momentum": batch.specific_angular_momenta}
+                parts.append(next_contacts(stance, *state, candidates.contacts, delay, **options, **spinning))
             except ValueError as error:
                 raise InputError(f"--{error}") from error
     if not parts:

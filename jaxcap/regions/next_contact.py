@@ -228,11 +228,12 @@ def _latest(sets: _Sets, states: _States, horizon: float, there: np.ndarray) -> 
 
 def _touchdown(sets: _Sets, states: _States, delays: np.ndarray) -> _Touchdown:
     n, d = delays.shape
-    rows = _to_a_block(np.repeat(np.arange(n), d))
+    alone = n * d == 1  # not side by side with copies of itself
+    rows, times = (0, delays[0, 0]) if alone else map(_to_a_block, (np.repeat(np.arange(n), d), delays.reshape(-1)))
     coms, velocities, momenta = jax.tree.map(lambda field: field[rows], states)
-    times = _to_a_block(delays.reshape(-1))
     found = advance(sets.during, coms, velocities, times, sets.gravity, specific_angular_momentum=momenta)
-    place = lambda field: np.asarray(field)[: n * d].reshape(n, d, *field.shape[1:])
+    of_rows = lambda field: np.asarray(field)[None] if alone else np.asarray(field)[: n * d]
+    place = lambda field: of_rows(field).reshape(n, d, *of_rows(field).shape[1:])
     progress = place(found.progress)
     lost = np.isin(progress, [Progress.TURNS, Progress.LEAVES]) & (delays > 0)
     spinning = found.specific_angular_momentum
