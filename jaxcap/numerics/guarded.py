@@ -48,6 +48,35 @@ def without_noise(value: Float[Array, "..."], noise: Float[Array, "..."]) -> Flo
     return jnp.where(jnp.abs(value) > noise, value, 0)
 
 
+@jax.custom_jvp
+def least(values: Float[Array, "k *n"]) -> Float[Array, "*n"]:
+    """The smallest along the first axis; of several that are equal the first one's gradient, where `jnp.min` has the mean of
+    theirs, which is that of no side of a kink."""
+    return jnp.min(values, axis=0)
+
+
+@least.defjvp
+def _least_jvp(primals, tangents):
+    (values,), (change,) = primals, tangents
+    first = jnp.argmin(values, axis=0)[None]
+    return jnp.min(values, axis=0), jnp.take_along_axis(change, first, axis=0)[0]
+
+
+def most(values: Float[Array, "k *n"]) -> Float[Array, "*n"]:
+    """The largest, likewise."""
+    return -least(-values)
+
+
+def lesser(one: Float[Array, "*n"], other: Float[Array, "*n"]) -> Float[Array, "*n"]:
+    """The smaller of two, with the gradient of the first where they are equal."""
+    return jnp.where(one <= other, one, other)
+
+
+def greater(one: Float[Array, "*n"], other: Float[Array, "*n"]) -> Float[Array, "*n"]:
+    """The larger of two, likewise."""
+    return jnp.where(one >= other, one, other)
+
+
 def snapped(value: Float[Array, "..."], noise: Float[Array, "..."]) -> Float[Array, "..."]:
     """Zero where the value is no larger than the noise; its gradient is kept, for to the right and left it is not zero."""
     return value - jax.lax.stop_gradient(jnp.where(jnp.abs(value) <= noise, value, 0))

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Num
 
-from jaxcap.numerics.guarded import root, select
+from jaxcap.numerics.guarded import greater, lesser, root, select
 from jaxcap.one_state.boundary import End
 from jaxcap.one_state.line import Line, Motion
 from jaxcap.one_state.polygon import Survey
@@ -85,9 +85,9 @@ def _speeds(line: Line) -> Speeds:
     stops = jnp.where(line.survey.feasible, stops_within(lower.end), 0)
     farthest = farthest_rest(polygon, s_min, s_max, line.hanging)
     inside = jnp.where(line.hanging, stops_within(s_max), stops)
-    largest = jnp.where(line.hanging, jnp.maximum(inside, stops_within(farthest.alpha)), stops)
-    before = jnp.where(line.ahead, jnp.minimum(stops_within(s_min), inside), 0)
-    smallest = jnp.where(line.ahead, jnp.minimum(root(2 * line.upper.gain(s_min)), before), 0)
+    largest = jnp.where(line.hanging, greater(stops_within(farthest.alpha), inside), stops)
+    before = jnp.where(line.ahead, lesser(stops_within(s_min), inside), 0)
+    smallest = jnp.where(line.ahead, lesser(root(2 * line.upper.gain(s_min)), before), 0)
     some = line.survey.standing & line.survey.feasible
     known = line.survey.known & farthest.known & (lower.ending != End.MAX_PIECES) & (line.upper.ending != End.MAX_PIECES)
     return Speeds(jnp.where(some, smallest, 0), before, inside, jnp.where(some, largest, 0), stops, known)
@@ -195,10 +195,10 @@ def _answer(motion: Motion, speeds: Speeds) -> Capturability:
     line, speed, finite = motion
     case, moving = _case(line, speeds, speed), speed > 0
     # Where no speed is capturable the margin is minus the whole speed: `largest` is zero.
-    margin = jnp.minimum(speeds.largest - speed, jnp.where(line.ahead, speed - speeds.smallest, jnp.inf))
+    margin = lesser(speeds.largest - speed, jnp.where(line.ahead, speed - speeds.smallest, jnp.inf))
     effort, unheld = _effort(line.survey), _unheld(line.survey)
     lacking = UNHELD * (1 - jnp.where(unheld, effort, 1))
-    margin = jnp.where(unheld, jnp.minimum(margin, lacking), margin)
+    margin = jnp.where(unheld, lesser(margin, lacking), margin)
     way = _way(line, speeds, speed, case)
     status = select(
         [~finite, ~speeds.known, ~moving, way.swinging],
