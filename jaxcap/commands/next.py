@@ -33,8 +33,8 @@ WHAT IS ASKED
   allows, arms do not: the answer ranks the places, and rules out those that do
   not help.
 
-STATES and CONTACTS are those of jaxcap score; one contact set for all states. A
-column specific_angular_momentum counts, as it does there.
+STATES and CONTACTS are those of jaxcap score; one contact set for all states.
+  A column specific_angular_momentum counts, as it does there.
 
 SURFACES is YAML (.yaml, .yml) or JSON (.json), in the frame of the contacts:
     surfaces:
