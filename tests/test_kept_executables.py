@@ -67,6 +67,11 @@ def test_who_asks_the_same_traces_nothing(folder):
     assert another_process(Given(jnp.asarray(VALUES))) == ([0, 1, 4, 9], False)
 
 
+def test_a_number_of_numpy_is_an_array(folder):
+    for traced in (True, False):
+        assert another_process(Given(VALUES, np.float32(3))) == ([0, 3, 12, 27], traced)
+
+
 @pytest.mark.parametrize(
     ("given", "power"),
     [

@@ -79,7 +79,7 @@ def _plain(leaves: list[Any]) -> bool:
     if jax.device_count() > 1 or any(map(_setting, ELSEWISE)):
         return False
     placed = lambda x: isinstance(x, jax.core.Tracer) or (isinstance(x, jax.Array) and (x.committed or x.weak_type))
-    return all(isinstance(leaf, np.ndarray | jax.Array) and not placed(leaf) for leaf in leaves)
+    return all(isinstance(leaf, np.ndarray | np.generic | jax.Array) and not placed(leaf) for leaf in leaves)
 
 
 def _taken(path: Path) -> Callable | None:
