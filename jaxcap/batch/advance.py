@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Num
 
-from jaxcap.batch.blocks import BLOCK, RAYS_BLOCK, block_of, over_blocks, over_chunks, own_or_common
+from jaxcap.batch.blocks import BLOCK, RAYS_BLOCK, Block, block_of, over_blocks, over_chunks, own_or_common, to_host
 from jaxcap.contacts.actuation import ActuatedRays, Actuation, with_limits
 from jaxcap.contacts.cone import CentroidalCone, ConeRays
 from jaxcap.contacts.conventions import GRAVITY, ArrayLike, checked_gravity
@@ -133,16 +133,16 @@ def _of_rows(cone: Cone, coms: Any, velocities: Any, durations: Any, gravity: Ar
     rows = _Rows(coms, velocities, durations, own, momenta)
     pull = jnp.asarray(gravity, jnp.result_type(coms, jnp.float32))
     if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves((rows, common, pull))):
-        return _block(common, rows, pull)
-    n, block = len(coms), BLOCK if own is None else RAYS_BLOCK
+        return _block(common, Block(rows, None), pull)
+    n, block, rows = len(coms), BLOCK if own is None else RAYS_BLOCK, to_host(rows)
     return over_blocks(lambda start: _block(common, block_of(rows, n, start, block), pull), n, block)
 
 
 @jax.jit
-def _block(common: Cone | None, rows: _Rows, gravity: Num[Array, "3"]) -> Moved:
+def _block(common: Cone | None, block: Block, gravity: Num[Array, "3"]) -> Moved:
     def of_lanes(lanes: _Rows) -> Moved:
         cone = common if lanes.cones is None else lanes.cones
         assert cone is not None, "states without contacts"
         return advance_of_lanes(cone, lanes.coms, lanes.com_velocities, lanes.durations, gravity, lanes.momenta)
 
-    return over_chunks(of_lanes, rows)
+    return over_chunks(of_lanes, block.rows, filled=block.filled)

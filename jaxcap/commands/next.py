@@ -166,8 +166,9 @@ def _found(
         for batch in source:
             state = batch.coms.astype(dtype), batch.com_velocities.astype(dtype)
             try:
-                spinning = {"specific_angular_momentum": batch.specific_angular_momenta}
-                parts.append(next_contacts(stance, *state, candidates.contacts, delay, **options, **spinning))
+                momenta = batch.specific_angular_momenta
+                given = candidates.contacts, delay
+                parts.append(next_contacts(stance, *state, *given, specific_angular_momentum=momenta, **options))
             except ValueError as error:
                 raise InputError(f"--{error}") from error
     if not parts:

@@ -83,12 +83,15 @@ def _speeds(line: Line) -> Speeds:
         return jnp.where(alpha < 0, 0, jnp.where(endless, jnp.inf, root(-2 * lower.gain(jnp.maximum(alpha, 0)))))
 
     stops = jnp.where(line.survey.feasible, stops_within(lower.end), 0)
+    some = line.survey.standing & line.survey.feasible
+    if line.quick:
+        none, known = jnp.zeros_like(stops), line.survey.known & (lower.ending != End.MAX_PIECES)
+        return Speeds(none, none, stops, jnp.where(some, stops, 0), stops, known)
     farthest = farthest_rest(polygon, s_min, s_max, line.hanging)
     inside = jnp.where(line.hanging, stops_within(s_max), stops)
     largest = jnp.where(line.hanging, greater(stops_within(farthest.alpha), inside), stops)
     before = jnp.where(line.ahead, lesser(stops_within(s_min), inside), 0)
     smallest = jnp.where(line.ahead, lesser(root(2 * line.upper.gain(s_min)), before), 0)
-    some = line.survey.standing & line.survey.feasible
     known = line.survey.known & farthest.known & (lower.ending != End.MAX_PIECES) & (line.upper.ending != End.MAX_PIECES)
     return Speeds(jnp.where(some, smallest, 0), before, inside, jnp.where(some, largest, 0), stops, known)
 
@@ -175,17 +178,20 @@ def _way(line: Line, speeds: Speeds, speed: Array, case: Array) -> _Way:
     lower, energy = line.lower, speed * speed / 2
     at_once = lower.ending == End.FLOORLESS
     ride = lower.ride(jnp.where(at_once, 0, energy))
-    reaching, swung = case == Case.C3_2_1, case == Case.C3_3
-    reached = reach_time(lower, line.upper, line.survey.s_min, energy, reaching)
-    swings = swing(line.polygon, line.survey.s_min, line.survey.s_max, ride, swung & (speed > 0))
     gain, stops = lower.gain(lower.end), jnp.where(jnp.isfinite(speeds.stops), speeds.stops, speed)
     # speed^2 + 2 gain, in the form without cancellation where the walk nearly stops
     excess = jnp.where(gain > 0, speed * speed + 2 * gain, (speed - stops) * (speed + stops))
     residual = jnp.where(line.survey.feasible, root(excess), speed)
+    deceleration = jnp.where(at_once, jnp.inf, -lower.at(ride.alpha))
+    if line.quick:
+        return _Way(ride.alpha, ride.time, deceleration, residual, jnp.zeros_like(at_once))
+    reaching, swung = case == Case.C3_2_1, case == Case.C3_3
+    reached = reach_time(lower, line.upper, line.survey.s_min, energy, reaching)
+    swings = swing(line.polygon, line.survey.s_min, line.survey.s_max, ride, swung & (speed > 0))
     return _Way(
         stop=jnp.where(swung, swings.distance, jnp.where(reaching, line.survey.s_min, ride.alpha)),
         duration=jnp.where(swung, swings.time, jnp.where(reaching, reached, ride.time)),
-        deceleration=jnp.where(at_once, jnp.inf, -lower.at(ride.alpha)),
+        deceleration=deceleration,
         residual=jnp.where(swung, swings.residual_speed, residual),
         swinging=swings.swinging,
     )
