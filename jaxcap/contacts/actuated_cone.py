@@ -84,7 +84,7 @@ def actuated_cone(
 def faces_of(loads: Loads, box: float = 0.0) -> Halfspaces:
     """All that the limbs can exert together, in weights, and how far a box of torques goes beyond."""
     limbs = loads.limbs()
-    if any(len(limb.vertices) == 0 for limb in limbs):
+    if loads.sagging or any(len(limb.vertices) == 0 for limb in limbs):
         return NOTHING
     corners = [np.pad(np.array(list(product((-box, box), repeat=3))), ((0, 0), (3, 0)))] if box else []
     polytopes = [limb.vertices for limb in limbs]
@@ -105,8 +105,6 @@ def _effort(loads: Loads, down: Float[np.ndarray, "3"]) -> EffortFaces | None:
 
 def _check_actuation(actuation: Actuation, touching: Bool[np.ndarray, " k"]) -> None:
     """Raises ValueError."""
-    if not isinstance(actuation, Actuation):
-        raise ValueError(f"actuation: {type(actuation).__name__} (expected a jaxcap.Actuation)")
     if actuation.batched:
         raise ValueError(f"actuation has {len(actuation.limit)} postures (expected one: cone_rays(contacts) takes many)")
     if len(actuation.jacobians) != len(touching):

@@ -101,7 +101,10 @@ class _Asked(NamedTuple):
 def _asked(loads: Loads, places: Places, place: Float[np.ndarray, "2"]) -> _Asked | None:
     """The least effort, and its dual; None where no torques hold the robot, if only by rounding."""
     wrench = places.wrenches @ np.append(place, 1.0)
-    rays, torques = loads.rays.reshape(-1, 6), loads.torques.reshape(len(loads.limit), -1)
+    rays, torques = (
+        loads.rays.reshape(-1, 6),
+        loads.torques.reshape(len(loads.limit), loads.rays.shape[0] * loads.rays.shape[1]),
+    )
     share = np.tile(-loads.limit, 2)[:, None]
     bound = np.concatenate([loads.gravity, -loads.gravity])
     result = linprog(

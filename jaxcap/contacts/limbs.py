@@ -63,6 +63,16 @@ class Loads(NamedTuple):
         """On some of the joints."""
         return Loads(self.rays, self.torques[joints], self.gravity[joints], self.limit[joints])
 
+    @property
+    def carries(self) -> Bool[np.ndarray, "j k"]:
+        """Which joint is loaded by which contact."""
+        return np.abs(self.torques).max(axis=2, initial=0) > LOADS
+
+    @property
+    def sagging(self) -> bool:
+        """Whether a joint that counts, though it carries no contact, does not hold itself."""
+        return bool((~self.carries.any(axis=1) & (np.abs(self.gravity) > self.limit)).any())
+
     def limbs(self) -> list[Limb]:
         """One for each limb.
 
@@ -70,7 +80,7 @@ class Loads(NamedTuple):
             ValueError: for a limb with contacts on several links.
             ProjectionError: where its vertices do not pass their check.
         """
-        carries = np.abs(self.torques).max(axis=2, initial=0) > LOADS
+        carries = self.carries
         labels = _labels(carries)
         return [self._limb(labels == label, carries[:, labels == label].any(axis=1)) for label in np.unique(labels)]
 

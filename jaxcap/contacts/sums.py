@@ -42,7 +42,7 @@ class Halfspaces(NamedTuple):
     offsets: Float[np.ndarray, " m"]
 
 
-def faces_of_sum(parts: Sequence[Float[np.ndarray, "v d"]], rays: Float[np.ndarray, "r d"]) -> Halfspaces:
+def faces_of_sum(parts: Sequence[Float[np.ndarray, "_ d"]], rays: Float[np.ndarray, "r d"]) -> Halfspaces:
     """All sums of a point of each polytope and non-negative multiples of rays, by its faces.
 
     Args:
@@ -87,7 +87,7 @@ def _hull(points: Float[np.ndarray, "n d"], rays: Float[np.ndarray, "r d"]) -> H
     return Halfspaces(rows[:, :d], -rows[:, d])
 
 
-def _first(parts: Sequence[Float[np.ndarray, "v d"]], rays: Float[np.ndarray, "r d"]) -> Int[np.ndarray, "n p"]:
+def _first(parts: Sequence[Float[np.ndarray, "_ d"]], rays: Float[np.ndarray, "r d"]) -> Int[np.ndarray, "n p"]:
     """Numbers of the vertices of the sums to begin with."""
     counts = [len(part) for part in parts]
     if math.prod(counts) <= WHOLE:
@@ -101,7 +101,7 @@ def _first(parts: Sequence[Float[np.ndarray, "v d"]], rays: Float[np.ndarray, "r
     return np.unique(_farthest(parts, normals), axis=0)
 
 
-def _farthest(parts: Sequence[Float[np.ndarray, "v d"]], normals: Float[np.ndarray, "m d"]) -> Int[np.ndarray, "m p"]:
+def _farthest(parts: Sequence[Float[np.ndarray, "_ d"]], normals: Float[np.ndarray, "m d"]) -> Int[np.ndarray, "m p"]:
     """Number of the vertex of each part that is farthest along each normal."""
     return (
         np.stack([np.argmax(normals @ part.T, axis=1) for part in parts], axis=1)
@@ -110,6 +110,6 @@ def _farthest(parts: Sequence[Float[np.ndarray, "v d"]], normals: Float[np.ndarr
     )
 
 
-def _sums(parts: Sequence[Float[np.ndarray, "v d"]], chosen: Int[np.ndarray, "n p"]) -> Float[np.ndarray, "n d"]:
+def _sums(parts: Sequence[Float[np.ndarray, "_ d"]], chosen: Int[np.ndarray, "n p"]) -> Float[np.ndarray, "n d"]:
     """Of the chosen vertices."""
     return np.sum([part[chosen[:, i]] for i, part in enumerate(parts)], axis=0)
