@@ -28,6 +28,10 @@ LEAST_LIMIT = 1e-3
 """Rows of a joint are scaled by its limit, or by that of gravity on an arm of this share of the stance if it is less."""
 
 
+class SeveralLinksError(ValueError):
+    """Torques on a limb do not follow from its wrench."""
+
+
 class Limb(NamedTuple):
     """What some of the contacts can exert, in robots' weights, torques in weights times the size of the stance."""
 
@@ -77,22 +81,21 @@ class Loads(NamedTuple):
         """One for each limb.
 
         Raises:
-            ValueError: for a limb with contacts on several links.
+            SeveralLinksError: for a limb with contacts on several links.
             ProjectionError: where its vertices do not pass their check.
         """
-        carries = self.carries
-        labels = _labels(carries)
-        return [self._limb(labels == label, carries[:, labels == label].any(axis=1)) for label in np.unique(labels)]
+        labels = _labels(self.carries)
+        return [self._limb(labels == label) for label in np.unique(labels)]
 
-    def _limb(self, contacts: Bool[np.ndarray, " k"], joints: Bool[np.ndarray, " j"]) -> Limb:
-        rays = self.rays[contacts].reshape(-1, 6)
+    def _limb(self, contacts: Bool[np.ndarray, " k"]) -> Limb:
+        rays, joints = self.rays[contacts].reshape(-1, 6), np.any(self.carries[:, contacts], axis=1)
         if not joints.any():
             return Limb(np.zeros((1, 6)), rays)
         torques = self.torques[joints][:, contacts].reshape(joints.sum(), -1)
         of_wrench = np.linalg.lstsq(rays, torques.T, rcond=FOLLOWS)[0].T
         if np.abs(of_wrench @ rays.T - torques).max() > FOLLOWS * np.abs(torques).max():
             where = ", ".join(map(str, np.flatnonzero(contacts)))
-            raise ValueError(
+            raise SeveralLinksError(
                 f"actuation: contacts {where} share joints and are on several links (expected each limb to touch with one "
                 f"link: cone_rays(contacts) takes others)"
             )

@@ -18,6 +18,8 @@ from jaxcap.contacts.projection import FLAT, cone_faces
 
 FACES = 50_000
 """More faces than this are refused: rays are then as fast, and the hull takes minutes."""
+SUMS = 100_000
+"""More sums of vertices than this are refused before any hull: they make more faces, or hulls of many minutes."""
 WHOLE = 500
 """Up to so many sums of vertices are all taken at once."""
 FIRST = 20_000
@@ -53,9 +55,11 @@ def faces_of_sum(parts: Sequence[Float[np.ndarray, "_ d"]], rays: Float[np.ndarr
         The faces, each at the distance that the parts say; an equality as a pair. No row at all means the whole space.
 
     Raises:
-        TooManyFacesError: with more than FACES.
+        TooManyFacesError: with more than FACES, or SUMS.
         ProjectionError: as `cone_faces`.
     """
+    if (count := math.prod(len(part) for part in parts)) > SUMS:
+        raise TooManyFacesError(f"{count} sums of the limbs' vertices (at most {SUMS})")
     chosen = _first(parts, rays)
     for _ in range(ROUNDS):
         found = _hull(_sums(parts, chosen), rays)
