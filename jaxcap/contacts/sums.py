@@ -62,7 +62,8 @@ def faces_of_sum(parts: Sequence[Float[np.ndarray, "_ d"]], rays: Float[np.ndarr
         raise TooManyFacesError(f"{count} sums of the limbs' vertices (at most {SUMS})")
     chosen = _first(parts, rays)
     for _ in range(ROUNDS):
-        found = _hull(_sums(parts, chosen), rays)
+        points = _sums(parts, chosen)
+        found = _hull(points, rays)
         if len(found.normals) > FACES:
             raise TooManyFacesError(f"more than {FACES} faces")
         farthest = _farthest(parts, found.normals)
