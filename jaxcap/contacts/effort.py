@@ -44,6 +44,7 @@ class Places(NamedTuple):
     edges: Float[np.ndarray, "h 3"]
     middle: Float[np.ndarray, "2"]
     """The one that is farthest from all edges."""
+    corners: Float[np.ndarray, "k 2"]
     wrenches: Float[np.ndarray, "6 3"]
     """The wrench there is wrenches @ (place, 1)."""
 
@@ -66,7 +67,8 @@ def places_of(held: Halfspaces, up: Float[np.ndarray, "3"], axes: Float[np.ndarr
     deepest = linprog([0, 0, -1], A_ub=np.concatenate([edges[:, :2], sizes], axis=1), b_ub=-edges[:, 2], bounds=(None, None))
     if deepest.status != 0 or deepest.x[2] < THIN:
         return None
-    return Places(edges[sizes[:, 0] > THIN], deepest.x[:2], wrenches)
+    edges, middle = edges[sizes[:, 0] > THIN], deepest.x[:2]
+    return Places(edges, middle, _intersections(edges, middle), wrenches)
 
 
 def pieces_of_effort(loads: Loads, places: Places) -> Pieces:
@@ -125,13 +127,20 @@ def _asked(loads: Loads, places: Places, place: Float[np.ndarray, "2"]) -> _Aske
 def _vertices(places: Places, lines: Float[np.ndarray, "e 3"]) -> Float[np.ndarray, "v 2"]:
     """Where the largest of linear functions has its corners, on the edges of the places too."""
     at_middle = float((lines[:, :2] @ places.middle + lines[:, 2]).max())
-    top = at_middle + 1 + 4 * REACH * np.linalg.norm(lines[:, :2], axis=1).max()
+    # No higher than need be, and seen from near the lines: Qhull's tolerance is that of the largest number.
+    top = float((places.corners @ lines[:, :2].T + lines[:, 2]).max()) + 1
     below = np.column_stack([lines[:, :2], -np.ones(len(lines)), lines[:, 2]])
     beside = np.column_stack([places.edges[:, :2], np.zeros(len(places.edges)), places.edges[:, 2]])
     all_sides = np.concatenate([below, beside, [[0, 0, 1, -top]]])
-    inner = np.append(places.middle, (at_middle + top) / 2)
+    inner = np.append(places.middle, at_middle + 0.5)
+    corners = _intersections(all_sides, inner)
+    return np.unique(corners[:, :2], axis=0)
+
+
+def _intersections(half_spaces: Float[np.ndarray, "h d1"], inside: Float[np.ndarray, " d"]) -> Float[np.ndarray, "v d"]:
+    """Corners of half_spaces @ (point, 1) <= 0."""
     try:
-        corners = HalfspaceIntersection(all_sides, inner, qhull_options="Qt").intersections
+        corners = HalfspaceIntersection(half_spaces, inside, qhull_options="Qt").intersections
     except QhullError as error:
         raise ProjectionError(f"Qhull: {str(error).splitlines()[0]}") from error
-    return np.unique(corners[np.isfinite(corners).all(axis=1), :2], axis=0)
+    return corners[np.isfinite(corners).all(axis=1)]
