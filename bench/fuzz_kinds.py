@@ -303,7 +303,9 @@ def _duplicates(rng):
     makers = (_point, _edge, _quadruped, _fist, _rail, _ring)
     points, frames = makers[rng.integers(len(makers))](rng)
     k = len(points)
-    again = np.concatenate([np.arange(k), rng.integers(k, size=CONTACTS)])[: rng.integers(k, CONTACTS) + 1]
+    again = np.concatenate([np.arange(k), rng.integers(k, size=CONTACTS)])[
+        : rng.integers(min(k, CONTACTS - 1), CONTACTS) + 1
+    ]
     frames = frames[again]
     if rng.uniform() < 0.3:
         frames = np.array([frame(f[:, 2], rng.uniform(-np.pi, np.pi)) for f in frames])

@@ -13,7 +13,9 @@ Differences are one-sided, on both sides, with two steps. A side is resolved if 
     right          both sides resolved and equal, and the derivative is theirs
     wrong          the same, and it is not
     kinks right    they differ, as where contacts on a floor are moved out of it: the derivative is that of one side
-    kinks wrong    it is neither's
+    kinks between  it lies between the two, as the product of a subgradient and a direction does: what is linear in the
+                   direction, as JAX wants it, cannot be one of the two along every direction
+    kinks wrong    it is neither's, nor between them
     narrow         none of these, but with steps of 1e-11 the derivative is that of one side, or the sides differ, to a
                    twentieth: the margin has a feature narrower than the steps, as at a CoM exactly above an edge, where the
                    slack decides
@@ -21,7 +23,8 @@ Differences are one-sided, on both sides, with two steps. A side is resolved if 
     nan            the margin is a number, the derivative is not
     no margin      undecided, or the margin is infinite
 
-Ends with status 1 unless wrong, kinks wrong and nan are all zero.
+Ends with status 1 unless wrong, kinks wrong and nan are all zero. Kinks are counted apart for they are no points to judge a
+gradient at: of several faces that meet there one is differentiated.
 """
 
 from __future__ import annotations
@@ -53,7 +56,7 @@ STATES = 16
 GROUPS = ("com", "velocity", "points", "friction", "frames")
 FACES = tuple(32 * 4**k for k in range(6))
 """Faces are padded to these numbers."""
-COLUMNS = ("pairs", "right", "wrong", "kinks right", "kinks wrong", "narrow", "unclear", "nan", "no margin")
+COLUMNS = ("pairs", "right", "wrong", "kinks right", "kinks between", "kinks wrong", "narrow", "unclear", "nan", "no margin")
 
 
 class Pairs(NamedTuple):
@@ -146,6 +149,7 @@ def verdicts(derivative, found: Differences, middle, scale) -> np.ndarray:
         roughly = lambda a, b: np.abs(a - b) <= ROUGHLY * np.maximum(np.maximum(np.abs(a), np.abs(b)), ROUGHLY * scale)
         more = ~roughly(a3, a2) | ~roughly(b3, b2)  # is seen with the narrow step
         narrow = more & (roughly(derivative, a3) | roughly(derivative, b3) | ~roughly(a3, b3))
+        between = (np.minimum(a2, b2) <= derivative) & (derivative <= np.maximum(a2, b2))
         near = one_side | ~resolved & (alike(derivative, a1) | alike(derivative, b1))
     return np.select(
         [
@@ -155,9 +159,10 @@ def verdicts(derivative, found: Differences, middle, scale) -> np.ndarray:
             near & ~(resolved & same),
             narrow,
             resolved & same,
+            resolved & between,
             resolved,
         ],
-        ["no margin", "nan", "right", "kinks right", "narrow", "wrong", "kinks wrong"],
+        ["no margin", "nan", "right", "kinks right", "narrow", "wrong", "kinks between", "kinks wrong"],
         "unclear",
     )
 
@@ -275,7 +280,7 @@ def table(answer: Answer, by: np.ndarray) -> str:
     for name, column in zip(by, answer.column, strict=True):
         counts[str(name)].update([str(column), "pairs"])
     total = Counter(map(str, answer.column)) + Counter(pairs=len(answer.column))
-    line = lambda first, values: f"{first:15}" + "".join(f"{value:>12}" for value in values)
+    line = lambda first, values: f"{first:15}" + "".join(f"{value:>14}" for value in values)
     rows = [line(name, [count[c] for c in COLUMNS]) for name, count in (*sorted(counts.items()), ("total", total))]
     return "\n".join([line(answer.form, COLUMNS), *rows])
 

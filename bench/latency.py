@@ -8,7 +8,9 @@
 The four take turns, `BLOCK` calls at a time, with another state each call, on the default device. The paper needs up to
 11 ms for the linear programs of a state alone. On a CPU, JAX hands a call to another thread and waits for it, which may take
 longer than the answer. It does not after jax.config.update("jax_cpu_enable_async_dispatch", False), which has to come before
-anything is computed: `python -m bench.speed --inline`.
+anything is computed: `python -m bench.speed --inline`. That is a switch of the whole process, and there is none of a call:
+XLA's CPU client runs in place what it takes for cheap (`nothing`; no state), what is asked for inside a host callback, and
+what `ExecuteOptions.execution_mode` tells it to, which JAX leaves to no caller.
 """
 
 import time

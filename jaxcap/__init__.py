@@ -12,9 +12,11 @@ from jaxcap.contacts.cone import cone_rays as cone_rays
 from jaxcap.contacts.contact_set import ContactSet as ContactSet
 from jaxcap.contacts.contact_set import rectangle as rectangle
 from jaxcap.contacts.surfaces import Candidates as Candidates
+from jaxcap.contacts.surfaces import HeightField as HeightField
 from jaxcap.contacts.surfaces import Surface as Surface
 from jaxcap.contacts.surfaces import box as box
 from jaxcap.contacts.surfaces import candidates_on as candidates_on
+from jaxcap.contacts.surfaces import height_field as height_field
 from jaxcap.contacts.surfaces import rail as rail
 from jaxcap.contacts.surfaces import surface as surface
 from jaxcap.one_state.advance import Advanced as Advanced

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from reference.contacts import GRAVITY, wrench_rays
-from reference.linear_programs import LineProgram, line_program, solve_acceleration
+from reference.linear_programs import NO_SPIN, LineProgram, line_program, solve_acceleration
 
 
 class Braked(NamedTuple):
@@ -25,12 +25,17 @@ class Braked(NamedTuple):
 
 
 def braked(
-    points, frames, friction, com, com_velocity, duration, *, step=0.004, sides=4, gravity=GRAVITY
+    points, frames, friction, com, com_velocity, duration, *, step=0.004, sides=4, gravity=GRAVITY,
+    specific_angular_momentum=NO_SPIN,
 ) -> Braked:  # fmt: skip
-    """The state after `duration` [s], by steps of `step` [s] at most and by half of them."""
+    """The state after `duration` [s], by steps of `step` [s] at most and by half of them.
+
+    specific_angular_momentum: (3,) about the CoM, over the mass [m^2/s]; its rate is in proportion to the acceleration.
+    """
     speed = float(np.linalg.norm(com_velocity))
     direction = np.asarray(com_velocity, float) / speed
-    program = line_program(com, direction, wrench_rays(points, frames, friction, sides), gravity)
+    spin = np.asarray(specific_angular_momentum, float) / speed
+    program = line_program(com, direction, wrench_rays(points, frames, friction, sides), gravity, spin)
     steps = max(int(np.ceil(duration / step)), 1)
     coarse, fine = (_stepped(program, speed, duration, n) for n in (steps, 2 * steps))
     return fine._replace(error=max(abs(coarse.alpha - fine.alpha), abs(coarse.speed - fine.speed)))

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 import jaxcap
+import jaxcap.batch.score
 from jaxcap import Case, Status
-from jaxcap.batch.blocks import BLOCK, LANES
+from jaxcap.batch.blocks import BLOCK, LANES, SMALL_BLOCK
 from jaxcap.batch.rounds import unsettled
 
 FEET = jaxcap.rectangle([0, 0.1, 0], np.eye(3), 0.1, 0.05, 0.5) + jaxcap.rectangle([0, -0.1, 0], np.eye(3), 0.1, 0.05, 0.5)
@@ -32,6 +33,63 @@ def test_every_state_is_answered_in_its_place(n):
     for field, whole in zip(some, every, strict=True):
         assert field.shape == (n,)
         np.testing.assert_array_equal(field, whole[:n])
+
+
+ANY_ROWS = (1, 2, 500, 501, 1500, 4096, 100_000)
+"""Numbers of rows, of which users meet any."""
+
+
+@pytest.fixture
+def compiled():
+    """How long XLA took for each program since this list was cleared."""
+    seconds = []
+
+    def listen(name, duration, **_):
+        if name.endswith("backend_compile_duration"):
+            seconds.append(duration)
+
+    jax.monitoring.register_event_duration_secs_listener(listen)
+    yield seconds
+    jax.monitoring.unregister_event_duration_listener(listen)
+
+
+def meets_two_programs(call, compiled):
+    """call(n) scores n rows. No number of rows compiles anything, however small, that 1 and 100,000 have not."""
+    before = jaxcap.batch.score._compiled.jitted._cache_size()
+    for n in (min(ANY_ROWS), max(ANY_ROWS)):
+        call(n)
+    assert jaxcap.batch.score._compiled.jitted._cache_size() - before <= 2
+    compiled.clear()
+    for n in ANY_ROWS:
+        call(n)
+    assert not compiled
+
+
+def test_any_number_of_rows_meets_two_programs(compiled):
+    coms, velocities = states(max(ANY_ROWS))
+    meets_two_programs(lambda n: jaxcap.score(CONE, coms[:n], velocities[:n]), compiled)
+
+
+def test_the_same_holds_of_arrays_on_the_device(compiled):
+    """But for the cuts that the caller makes."""
+    rows = {n: tuple(map(jnp.asarray, states(n))) for n in ANY_ROWS}
+    meets_two_programs(lambda n: jaxcap.score(CONE, *rows[n]), compiled)
+
+
+def test_any_number_of_rows_with_contacts_of_their_own_meets_two_programs(compiled):
+    rays = jax.tree.map(np.asarray, jaxcap.cone_rays(FEET))
+    own = jax.tree.map(lambda x: np.broadcast_to(x, (max(ANY_ROWS), *x.shape)), rays)
+    coms, velocities = states(max(ANY_ROWS))
+    of_first = lambda n: jax.tree.map(lambda x: x[:n], own)
+    meets_two_programs(lambda n: jaxcap.score(of_first(n), coms[:n], velocities[:n]), compiled)
+
+
+@pytest.mark.parametrize("n", [SMALL_BLOCK - 1, SMALL_BLOCK, SMALL_BLOCK + 1])
+def test_one_more_row_than_the_small_block_holds(n):
+    coms, velocities = states(n)
+    every, last = jaxcap.score(CONE, coms, velocities), jaxcap.score(CONE, coms[-1:], velocities[-1:])
+    np.testing.assert_array_equal(every.margin[-1:], last.margin)
+    assert every.margin.shape == (n,) and not np.isnan(every.margin).any()
 
 
 @pytest.mark.parametrize("n", [1, 100, BLOCK, 1 << 20])
@@ -99,7 +157,7 @@ def test_gradient_through_score():
 def test_importing_costs_no_extra():
     """The core alone: no reader, plotter, robot or command line is imported with it; the x64 switch stays as it is."""
     program = (
-        "import sys, jaxcap, jax; heavy = {'pyarrow', 'matplotlib', 'pinocchio', 'tyro', 'tqdm', 'yaml'} & set(sys.modules);"
-        "assert not heavy, heavy; assert not jax.config.jax_enable_x64"
+        "import sys, jaxcap, jax; heavy = {'pyarrow', 'matplotlib', 'pinocchio', 'tyro', 'tqdm', 'yaml', 'scipy'};"
+        "heavy &= set(sys.modules); assert not heavy, heavy; assert not jax.config.jax_enable_x64"
     )
     subprocess.run([sys.executable, "-c", program], check=True)

@@ -21,6 +21,19 @@ def test_the_line_is_where_the_margin_is_zero():
     assert ax.get_xlabel() == "x [m]" and "[m/s]" in ax.figure.axes[1].get_ylabel()
 
 
+def test_the_line_lies_on_uneven_ground():
+    """Cells of neighbours meet, and the line bends with them."""
+    x = 0.1 * np.arange(11)
+    ground = jaxcap.height_field(np.repeat(x[:, None] ** 2, 8, axis=1), [0, 0, 0], 0.1, 0.5)
+    places = jaxcap.candidates_on([ground], 0.05, 0.05, 0.1)
+    ax = capture_region(places, places.centres[:, 0] - 0.42)
+    (line,) = [one for one in ax.collections if "Line" in type(one).__name__]
+    points = np.concatenate(line._segments3d)
+    np.testing.assert_allclose(points[:, 0], 0.42, atol=1e-12)
+    below, above = (places.centres[np.argmin(np.abs(places.centres[:, 0] - x)), 2] for x in (0.35, 0.45))
+    np.testing.assert_allclose(points[:, 2], below + 0.7 * (above - below), atol=1e-12)
+
+
 def test_in_space():
     ax = capture_region(PLACES, np.full(len(PLACES.surface), np.nan))
     assert ax.name == "3d" and ax.get_zlabel() == "z [m]" and not ax.lines

@@ -86,9 +86,10 @@ def test_a_second_run_takes_what_the_first_kept(given, where, monkeypatch):
     assert first.kept >= 1
     assert len(list(folder.glob("*-cache"))) == first.kept and folder.stat().st_mode & 0o777 == 0o700
     assert where == () or not home.exists()
-    assert score("second.npz") == Run(0, first.kept, first.said)
+    ready = list(folder.glob("*.program"))
+    assert ready and score("second.npz") == Run(0, first.kept - len(ready), first.said)  # JAX is not asked for these
     assert_same_file(given / "first.npz", given / "second.npz")
-    for entry in folder.glob("*-cache"):
+    for entry in [*folder.glob("*-cache"), *ready]:
         entry.write_bytes(entry.read_bytes()[:100])
     damaged = score("third.npz")
     assert damaged.kept == first.kept and [line for line in damaged.said if line not in first.said] == [

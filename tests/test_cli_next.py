@@ -47,6 +47,19 @@ def test_what_is_written_is_what_the_library_says(given, tmp_path, capsys):
     assert main(given) == 2 and "exists already" in capsys.readouterr().err
 
 
+def test_angular_momentum_of_a_column_counts(given, tmp_path):
+    states, momenta = dict(np.load(tmp_path / "states.npz")), np.array([[0, 0.2, 0], [0.1, 0, 0.05]])
+    np.savez(tmp_path / "states.npz", **states, specific_angular_momentum=momenta)
+    assert main([*given, "--spacing", "0.5"]) == 0
+    candidates = jaxcap.candidates_on(read_surfaces(tmp_path / "room.yaml"), 0.06, 0.05, 0.5)
+    coms, velocities, momenta = (field.astype(np.float32) for field in (states["com"], states["com_velocity"], momenta))
+    found = jaxcap.next_contacts(
+        read_contacts(tmp_path / "feet.yaml"), coms, velocities, candidates.contacts, 0.1, specific_angular_momentum=momenta
+    )
+    with np.load(tmp_path / "out.npz") as out:
+        np.testing.assert_array_equal(out["margin_without"], found.margin_without)
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [

@@ -1,5 +1,8 @@
 """Gradients of the answer with respect to the state: equal to finite differences away from kinks, never NaN."""
 
+import json
+from pathlib import Path
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -12,6 +15,9 @@ from jaxcap import Case
 pytestmark = pytest.mark.usefixtures("x64")
 FIGURES = ("margin", "min_speed", "max_speed", "paper_margin", "residual_speed", "distance", "time")
 STEP = 1e-6
+KINKS = json.loads((Path(__file__).parent / "kinks.json").read_text())
+"""States on contacts that are symmetric about their line of travel: faces of the cone are parallel to it, and turn with it.
+Found by `python -m bench.gradients --seed 7 --pairs 3000`."""
 
 
 def figures(cone, com, velocity):
@@ -101,3 +107,23 @@ def test_gradient_of_the_margin_is_never_nan(name, dtype):
     for part in gradient(com, velocity):
         assert part.dtype == dtype
         assert np.isfinite(part).all()
+
+
+@pytest.mark.parametrize("state", KINKS, ids=lambda state: state["name"])
+def test_a_face_parallel_to_the_line_turns_with_it(state):
+    """A coefficient that is zero has a derivative all the same. The margin has a kink there: the derivative is not beyond
+    those of its two sides."""
+    contacts = jaxcap.ContactSet(*(np.array(state[name]) for name in ("points", "frames", "friction")))
+    cone = jaxcap.centroidal_cone(contacts, state["sides"]).padded(128)
+    own = {name: np.array(state[name]) for name in ("com", "com_velocity")}
+    moved = "com" if state["moves"] == "com" else "com_velocity"
+
+    @jax.jit
+    def margin(t):
+        return jaxcap.capturability(cone, **(own | {moved: own[moved] + t * np.array(state["change"])})).margin
+
+    step = 1e-7
+    behind, ahead = (float((margin(s) - margin(0.0)) / s) for s in (-step, step))
+    derivative = float(jax.jvp(margin, (0.0,), (1.0,))[1])
+    error = 1e-3 * abs(derivative)  # of the differences
+    assert min(behind, ahead) - error <= derivative <= max(behind, ahead) + error

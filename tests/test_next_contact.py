@@ -35,12 +35,12 @@ def joined(contacts, candidates):
     return jax.tree.map(lambda *leaves: np.stack(leaves), *[contacts + one for one in candidates])
 
 
-def scored(coms, velocities, candidates=HANDS):
+def scored(coms, velocities, candidates=HANDS, **options):
     """By `score`, of every state with every candidate."""
     n, m = len(coms), len(candidates)
     cones = jaxcap.cone_rays(joined(FEET, candidates))
     every = jax.tree.map(lambda leaf: np.tile(np.asarray(leaf), (n, *[1] * (leaf.ndim - 1))), cones)
-    found = jaxcap.score(every, np.repeat(coms, m, axis=0), np.repeat(velocities, m, axis=0))
+    found = jaxcap.score(every, np.repeat(coms, m, axis=0), np.repeat(velocities, m, axis=0), **options)
     return jax.tree.map(lambda field: np.asarray(field).reshape(n, m), found)
 
 
@@ -65,6 +65,26 @@ def test_a_delay_is_the_score_of_the_state_at_touchdown():
         alike = jaxcap.next_contacts(FEET, COMS, VELOCITIES, HANDS, delay)
         np.testing.assert_allclose(found.margin[:, i], alike.margin[:, i], rtol=1e-9)
         np.testing.assert_allclose(found.margin_without[:, i], alike.margin_without[:, i], rtol=1e-9)
+
+
+def test_angular_momentum_is_that_at_touchdown():
+    """As `advance` and `score` have it; none is the answer without, to the bit."""
+    momenta, without = (
+        np.array([[0, 0.2, 0], [0.05, -0.1, 0.1], [0, 0.1, 0]]),
+        jaxcap.next_contacts(FEET, COMS, VELOCITIES, HANDS, 0.05),
+    )
+    found = jaxcap.next_contacts(FEET, COMS, VELOCITIES, HANDS, 0.05, specific_angular_momentum=momenta)
+    then = jaxcap.advance(jaxcap.cone_rays(FEET), COMS, VELOCITIES, 0.05, specific_angular_momentum=momenta)
+    usable = np.asarray(then.progress != Progress.LEAVES)
+    assert usable.sum() >= 2
+    each = np.repeat(np.asarray(then.specific_angular_momentum), len(HANDS), axis=0)
+    expected = scored(then.com, np.asarray(then.com_velocity), specific_angular_momentum=each).margin
+    np.testing.assert_allclose(found.margin[usable], expected[usable], rtol=1e-9)
+    assert (np.abs(found.margin_without - without.margin_without)[usable] > 1e-3).all()
+    zero = jaxcap.next_contacts(FEET, COMS, VELOCITIES, HANDS, 0.05, specific_angular_momentum=0 * momenta)
+    np.testing.assert_array_equal(zero.margin, without.margin)
+    with pytest.raises(TypeError, match=r"specific_angular_momentum has shape \(3,\) \(expected \(3, 3\), as com\)"):
+        jaxcap.next_contacts(FEET, COMS, VELOCITIES, HANDS, 0.05, specific_angular_momentum=[0, 0.1, 0])
 
 
 def test_the_capture_point():

@@ -5,13 +5,15 @@ import json
 import numpy as np
 import pytest
 
-from jaxcap.contacts.surfaces import box, rail, surface
+from jaxcap.contacts.surfaces import box, height_field, rail, surface
 from jaxcap.errors import InputError
 from jaxcap.files.surface_files import read_surfaces
 
 PLANE = {"type": "plane", "position": [0, 0, 0], "half_length": 1, "half_width": 0.5, "friction": 0.6}
 RAIL = {"type": "rail", "start": [0, 0, 1], "end": [1, 0, 1], "normal": [0, 0, 1], "half_width": 0.02, "friction": 0.5}
 BOX = {"type": "box", "name": "table", "position": [1, 0, 0.4], "half_sizes": [0.3, 0.4, 0.4], "friction": 0.5}
+
+FIELD = {"type": "height_field", "heights": [[0, 0.1, 0], [0, 0, 0.2]], "origin": [0, 0, 1], "spacing": 0.5, "friction": 0.6}
 
 
 def written(tmp_path, document):
@@ -33,12 +35,41 @@ def test_what_is_in_the_file(tmp_path):
             np.testing.assert_array_equal(getattr(one, field), getattr(other, field))
 
 
+def test_heights_in_the_file_or_in_one_beside_it(tmp_path):
+    np.save(tmp_path / "ground.npy", np.array(FIELD["heights"]))
+    np.savez(tmp_path / "ground.npz", heights=np.array(FIELD["heights"]))
+    entries = [FIELD, FIELD | {"heights": "ground.npy"}, FIELD | {"heights": "ground.npz"}]
+    expected = height_field(FIELD["heights"], [0, 0, 1], 0.5, 0.6)
+    for one in read_surfaces(written(tmp_path, {"surfaces": entries})):
+        for field in one._fields:
+            np.testing.assert_array_equal(getattr(one, field), getattr(expected, field))
+
+
+def test_heights_that_cannot_be_read(tmp_path):
+    np.savez(tmp_path / "other.npz", ground=np.zeros((2, 2)))
+    (tmp_path / "none.npy").write_text("no array")
+    for name, words in (
+        ("other.npz", "has no array 'heights'"),
+        ("none.npy", "cannot be read"),
+        ("missing.npy", "no such file"),
+        ("ground.csv", "expected a list of rows, or the name of a file"),
+    ):
+        with pytest.raises(InputError, match=rf"surfaces\[0\]: .*{words}"):
+            read_surfaces(written(tmp_path, {"surfaces": [FIELD | {"heights": name}]}))
+
+
 @pytest.mark.parametrize(
     ("document", "words"),
     [
         ([], "expected a mapping with the one key 'surfaces'"),
         ({"surfaces": []}, "expected a list of at least one entry"),
-        ({"surfaces": [{"type": "sphere"}]}, r"surfaces\[0\]: type = 'sphere' \(expected plane or rail or box\)"),
+        (
+            {"surfaces": [{"type": "sphere"}]},
+            r"surfaces\[0\]: type = 'sphere' \(expected plane or rail or box or height_field\)",
+        ),
+        ({"surfaces": [FIELD | {"heights": [[0, 1], [0]]}]}, "heights = "),
+        ({"surfaces": [FIELD | {"heights": [[0, 1]]}]}, r"heights: float64 of shape \(1, 2\) \(expected numbers of shape"),
+        ({"surfaces": [FIELD | {"spacing": 0}]}, r"spacing = 0.0 \(expected a positive number of metres\)"),
         ({"surfaces": [PLANE, PLANE | {"half_width": 0}]}, r"surfaces\[1\]: half_width = 0.0 \(expected a positive"),
         ({"surfaces": [PLANE | {"size": 0}]}, "unknown field 'size'"),
         (

@@ -89,6 +89,7 @@ QUICK: dict[str, tuple[str, ...]] = {
         "test_shards_make_the_whole[order0",
         "test_places_that_cannot_be_used",
     ),
+    "test_cli_next.py": ("test_what_cannot_be_is_named", "test_help"),
     "test_contact_axes.py": (
         "test_a_level_set_with_its_own_friction_is_untouched",
         "test_defaults_lie_around_all_sets",
@@ -119,6 +120,18 @@ QUICK: dict[str, tuple[str, ...]] = {
         "test_contacts_in_place_of_a_cone",
     ),
     "test_kernel_checks.py": (),
+    "test_laws.py": (
+        "test_the_states_are_worth_testing",
+        "test_translation",
+        "test_yaw",
+        "test_order_of_contacts",
+        "test_scale_of_length_and_time",
+        "test_mask_equals_absence",
+        "test_another_contact_never_hurts",
+        "test_more_friction_never_hurts",
+        "test_single_precision_agrees_outside_the_band[faces",
+        "test_margin",
+    ),
     "test_maps.py": (
         "test_a_file_is_the_map_and_opens_without_us",
         "test_what_a_map_says_of_itself",

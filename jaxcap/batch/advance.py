@@ -7,11 +7,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Num
 
-from jaxcap.batch.blocks import BLOCK, RAYS_BLOCK, block_of, over_blocks, over_chunks, own_or_common
+from jaxcap.batch.blocks import BLOCK, RAYS_BLOCK, Block, block_of, over_blocks, over_chunks, own_or_common, to_host
 from jaxcap.contacts.actuation import ActuatedRays, Actuation, with_limits
 from jaxcap.contacts.cone import CentroidalCone, ConeRays
 from jaxcap.contacts.conventions import GRAVITY, ArrayLike, checked_gravity
-from jaxcap.contacts.scoring_input import check_cone, relative, rounded
+from jaxcap.contacts.scoring_input import check_cone, relative, rounded, unless_zero
 from jaxcap.one_state.advance import Advanced, Moved, advance_of_lanes
 from jaxcap.one_state.line import Cone
 
@@ -23,6 +23,7 @@ class _Rows(NamedTuple):
     com_velocities: Num[Array, "n 3"]
     durations: Num[Array, "n"]
     cones: ConeRays | ActuatedRays | None
+    momenta: Num[Array, "n 3"] | None
 
 
 def advance(
@@ -32,6 +33,7 @@ def advance(
     duration: ArrayLike,
     gravity: ArrayLike = GRAVITY,
     *,
+    specific_angular_momentum: ArrayLike | None = None,
     actuation: Actuation | None = None,
 ) -> Advanced:
     """Where the robot is after some time of braking as hard as its contacts allow, along its own velocity.
@@ -47,6 +49,9 @@ def advance(
         com_velocity: (3,), or (n, 3) [m/s].
         duration: one number, or (n,) [s], >= 0. At zero the state is the same to the bit.
         gravity: (3,) [m/s^2].
+        specific_angular_momentum: (3,), or (n, 3) about the CoM, over the mass, in the contacts' frame [m^2/s]; None for
+            zero, the paper's model. It brakes, or grows, in proportion to the CoM's speed, as `capturability` has it: the
+            state that comes back goes on by the same manoeuvre.
         actuation: what the robot's joints can bear, in one posture or in one for each state; with rays only.
 
     Returns:
@@ -62,13 +67,17 @@ def advance(
     checked_gravity(gravity, finite=False)
     array = lambda x: x if isinstance(x, jax.Array) else np.asarray(x)
     com, velocity = array(com), array(com_velocity)
-    _check_shapes(cone, com, velocity)
+    given = None if specific_angular_momentum is None else array(specific_angular_momentum)
+    _check_shapes(cone, com, velocity, given)
     many = com.ndim == 2
     duration = checked_times("duration", duration, (len(com),) if many else ())
     near, position = relative(cone, com)
     limited = with_limits(near, actuation, 0.0, len(com) if many else None)
-    states = position, rounded(velocity), rounded(duration)
-    found = _of_rows(limited, states, gravity) if many else advance_of_lanes(limited, *states, gravity)
+    states, momenta = (position, rounded(velocity), rounded(duration)), unless_zero(rounded(given))
+    one = advance_of_lanes if not many else _of_rows
+    found = one(limited, *states, gravity, momenta)
+    if given is not None and momenta is None:
+        found = found._replace(specific_angular_momentum=0 * found.com_velocity)  # NaN where undecided
     # Positions far from the origin keep their precision: it is the difference that was computed.
     traced = any(isinstance(x, jax.core.Tracer) for x in (com, found.displacement))
     there = com + found.displacement if traced or isinstance(com, jax.Array) else com + np.asarray(found.displacement)
@@ -106,33 +115,34 @@ def checked_times(name: str, times: Any, shape: tuple[int, ...]) -> Any:
     return (np if isinstance(times, np.ndarray) else jnp).broadcast_to(times, shape)
 
 
-def _check_shapes(cone: CentroidalCone | ConeRays, com: Any, velocity: Any) -> None:
+def _check_shapes(cone: CentroidalCone | ConeRays, com: Any, velocity: Any, momentum: Any) -> None:
     """Raises TypeError."""
     if com.ndim not in (1, 2) or com.shape[-1] != 3:
         raise TypeError(f"com has shape {com.shape} (expected (3,), or (n, 3) for many states)")
     if velocity.shape != com.shape:
         raise TypeError(f"com_velocity has shape {velocity.shape} (expected {com.shape}, as com)")
+    if momentum is not None and momentum.shape != com.shape:
+        raise TypeError(f"specific_angular_momentum has shape {momentum.shape} (expected {com.shape}, as com)")
     if isinstance(cone, ConeRays) and cone.batched and (com.ndim == 1 or len(cone.rays) != len(com)):
         count = "one state" if com.ndim == 1 else f"{len(com)} states"
         raise TypeError(f"cone has rays of {len(cone.rays)} contact sets (expected one, or one for each of {count})")
 
 
-def _of_rows(cone: Cone, states: tuple[Any, Any, Any], gravity: ArrayLike) -> Moved:
-    coms, velocities, durations = states
+def _of_rows(cone: Cone, coms: Any, velocities: Any, durations: Any, gravity: ArrayLike, momenta: Any) -> Moved:
     own, common = own_or_common(cone)
-    rows = _Rows(coms, velocities, durations, own)
+    rows = _Rows(coms, velocities, durations, own, momenta)
     pull = jnp.asarray(gravity, jnp.result_type(coms, jnp.float32))
     if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves((rows, common, pull))):
-        return _block(common, rows, pull)
-    n, block = len(coms), BLOCK if own is None else RAYS_BLOCK
+        return _block(common, Block(rows, None), pull)
+    n, block, rows = len(coms), BLOCK if own is None else RAYS_BLOCK, to_host(rows)
     return over_blocks(lambda start: _block(common, block_of(rows, n, start, block), pull), n, block)
 
 
 @jax.jit
-def _block(common: Cone | None, rows: _Rows, gravity: Num[Array, "3"]) -> Moved:
+def _block(common: Cone | None, block: Block, gravity: Num[Array, "3"]) -> Moved:
     def of_lanes(lanes: _Rows) -> Moved:
         cone = common if lanes.cones is None else lanes.cones
         assert cone is not None, "states without contacts"
-        return advance_of_lanes(cone, lanes.coms, lanes.com_velocities, lanes.durations, gravity)
+        return advance_of_lanes(cone, lanes.coms, lanes.com_velocities, lanes.durations, gravity, lanes.momenta)
 
-    return over_chunks(of_lanes, rows)
+    return over_chunks(of_lanes, block.rows, filled=block.filled)

@@ -13,15 +13,26 @@ from jax.experimental.compilation_cache.compilation_cache import reset_cache
 FOLDER = "jax_compilation_cache_dir"
 """JAX's setting that names the folder; None: nothing is kept."""
 
-WORTH_KEEPING = 0.5
-"""Programs that take longer to compile are kept [s]."""
+WORTH_KEEPING = 0.0
+"""Programs that take longer to compile are kept [s]: also single operations, 10 ms each, of which making rays has fifty."""
+
+
+_ours: Path | None = None
+"""The folder, where it was this library that told JAX of it."""
+
+
+def kept_in() -> Path | None:
+    """The folder, if `keep_programs` was asked and JAX has been told of no other since."""
+    told = getattr(jax.config, FOLDER)
+    return _ours if _ours is not None and told == str(_ours) else None
 
 
 def keep_programs(directory: str | Path | None = None) -> Path:
     """From now on JAX keeps compiled programs in a folder and takes them from there; the command line does so by itself.
 
     The one function of jaxcap that changes settings of JAX, of the whole process: JAX's persistent compilation cache is
-    turned on, for the programs of everybody. The folder may be deleted at any time. What it holds is code: use none that
+    turned on, for the programs of everybody. Beside them, those of `score` and of maps are kept ready to run, and
+    found without tracing. The folder may be deleted at any time. What it holds is code: use none that
     is written to by anyone whom you do not trust.
 
     Args:
@@ -33,20 +44,24 @@ def keep_programs(directory: str | Path | None = None) -> Path:
     Raises:
         OSError: It cannot be made or written to, or the user's own folder belongs to, or may be written to by, others.
     """
-    chosen = usable(directory)
-    _set(_settings(chosen))
-    return chosen
+    global _ours
+    _ours = usable(directory)
+    _set(_settings(_ours))
+    return _ours
 
 
 @contextmanager
 def programs_kept(directory: Path) -> Iterator[None]:
     """The same for a while, for a folder that `usable` has returned."""
-    settings = _settings(directory)
+    global _ours
+    settings, ours = _settings(directory), _ours
     before = {name: getattr(jax.config, name) for name in settings}
     try:
+        _ours = directory
         _set(settings)
         yield
     finally:
+        _ours = ours
         _set(before)
 
 

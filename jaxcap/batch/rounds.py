@@ -8,9 +8,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, Int8, Num
 
-from jaxcap.batch.blocks import LANES, over_chunks, padded
+from jaxcap.batch.blocks import LANES, over_chunks
 from jaxcap.contacts.actuation import ActuatedRays
 from jaxcap.contacts.cone import CentroidalCone, ConeRays
+from jaxcap.contacts.conventions import FloatArray
 from jaxcap.numerics.whole import ceil_div
 from jaxcap.one_state.capturability import capturability_of_lanes
 from jaxcap.one_state.decision import capturability_at
@@ -46,6 +47,8 @@ class Shared(NamedTuple):
     """[m/s^2]"""
     cone: Cone | None = None
     """The contacts of all states, where these have none of their own."""
+    filled: Int[FloatArray, ""] | None = None
+    """So many of a block's rows are states, the others are padding, of which nothing is computed; None: all are."""
 
     def cone_of(self, states: States) -> Cone:
         """The contacts of these states."""
@@ -98,9 +101,10 @@ def in_two_rounds(
     def first(rows: tuple[States, Survey | None]) -> _Glance:
         motion = _motion(shared, *rows, quick=True)
         line = motion.line
+        assert line.skipped is not None, "this was a quick look"
         return _Glance(answer(motion), line.skipped, line.lower.pieces.slope[-1], _lean(line.survey))
 
-    glance = over_chunks(first, (states, surveys), lanes)
+    glance = over_chunks(first, (states, surveys), lanes, shared.filled)
     order, count = unsettled(glance.skipped, glance.slope, lanes)
     return _second_round(shared, (states, glance.survey), order, count, glance.answer, answer, lanes)
 
@@ -170,14 +174,23 @@ def _surveys(shared: Shared, states: States) -> Survey:
         momenta = lanes.specific_angular_momenta
         return survey_of_lanes(shared.cone_of(lanes), lanes.coms, lanes.com_velocities, shared.gravity, near, momenta)
 
-    n, steps = len(states.coms), ceil_div(len(states.coms), LANES)
-    to_steps = lambda x: jnp.moveaxis(x.reshape(LANES, steps, *x.shape[1:]), 0, -1)
-    stepwise = jax.tree.map(to_steps, padded(states, steps * LANES))
+    n = len(states.coms)
+    # A lane has rows that follow each other, as many as there are steps; those beyond the last are done for nothing.
+    steps = ceil_div(jnp.asarray(n if shared.filled is None else shared.filled, jnp.int32), LANES)
+    in_lane = jnp.arange(LANES, dtype=jnp.int32) * steps
+    at = lambda k: jax.tree.map(lambda x: jnp.moveaxis(x[jnp.minimum(in_lane + k, n - 1)], 0, -1), states)
 
-    def step(near, lanes):
-        survey = one(lanes, near)
-        return survey.near, _lean(survey)
+    def step(k, known):
+        near, found = known
+        survey = one(at(k), near)
+        put = lambda every, new: jax.lax.dynamic_update_index_in_dim(every, new, k, 0)
+        return survey.near, jax.tree.map(put, found, _lean(survey))
 
-    first = one(jax.tree.map(lambda x: x[0], stepwise))
-    surveys = jax.lax.scan(step, first.near, stepwise)[1]
-    return jax.tree.map(lambda x: jnp.moveaxis(x, -1, 0).reshape(-1, *x.shape[1:-1])[:n], surveys)
+    first = one(at(0))
+    nothing = jax.tree.map(lambda x: jnp.zeros((ceil_div(n, LANES), *x.shape), x.dtype), _lean(first))
+    surveys = jax.lax.fori_loop(0, steps, step, (first.near, nothing))[1]
+    row = jnp.arange(n, dtype=jnp.int32)
+    back = lambda x: jnp.moveaxis(x, -1, 1)[
+        row % jnp.maximum(steps, 1), jnp.minimum(row // jnp.maximum(steps, 1), LANES - 1)
+    ]
+    return jax.tree.map(back, surveys)

@@ -7,8 +7,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxcap.batch.blocks import BLOCK, RAYS_BLOCK, block_of, over_blocks, own_or_common
+from jaxcap.batch.blocks import BLOCK, RAYS_BLOCK, Block, block_of, over_blocks, own_or_common, to_host
 from jaxcap.batch.devices import Spread, spread_over
+from jaxcap.batch.kept_executables import Kept
 from jaxcap.batch.rounds import Shared, States, scored_block
 from jaxcap.batch.second_opinion import decided
 from jaxcap.contacts.actuation import Actuation, with_limits
@@ -64,13 +65,15 @@ def score(
     checked_gravity(gravity, finite=False)
     _check_shapes(cone, coms, com_velocities, specific_angular_momentum)
     cone, coms = relative(cone, coms)
-    coms, com_velocities = jnp.asarray(rounded(coms)), jnp.asarray(rounded(com_velocities))
-    momenta = unless_zero(rounded(specific_angular_momentum))
-    momenta = None if momenta is None else jnp.asarray(momenta)
+    # NumPy's stay NumPy's, block by block: JAX compiles what makes an array of them, and cuts it, for every number of rows.
+    array = lambda x: x if isinstance(x, jax.Array) else rounded(np.asarray(x))
+    coms, com_velocities = array(coms), array(com_velocities)
+    momenta = unless_zero(None if specific_angular_momentum is None else array(specific_angular_momentum))
     limited = with_limits(cone, actuation, momentum_box, len(coms))
     own, common = own_or_common(limited)
     states = States(coms, com_velocities, own, momenta)
-    shared = Shared(jnp.asarray(gravity, jnp.result_type(coms, jnp.float32)), common)
+    xp: Any = jnp if isinstance(gravity, jax.Array) else np
+    shared = Shared(xp.asarray(gravity, jnp.result_type(coms, jnp.float32)), common)
     if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves((states, shared.cone))):
         return scored_block(shared, states, neighbours)
     found = _over_devices(shared, states, neighbours)
@@ -82,10 +85,15 @@ def _over_devices(shared: Shared, states: States, neighbours: bool) -> Capturabi
     shares = max(len(devices), 1)
     block, n = shares * (BLOCK if states.cones is None else RAYS_BLOCK), len(states.coms)
     if shares == 1:
-        return over_blocks(lambda start: _compiled(shared, block_of(states, n, start, block), neighbours), n, block)
+        states = to_host(states)
+        return over_blocks(lambda start: _one_block(shared, block_of(states, n, start, block), neighbours), n, block)
     spread = _spread(devices, neighbours)
     everywhere = spread.everywhere(shared)
-    return over_blocks(lambda start: spread(everywhere, block_of(states, n, start, block, shares)), n, block)
+    return over_blocks(lambda start: spread(everywhere, block_of(states, n, start, block, shares).rows), n, block)
+
+
+def _one_block(shared: Shared, block: Block, neighbours: bool) -> Capturability:
+    return _compiled(shared._replace(filled=block.filled), block.rows, neighbours=neighbours)
 
 
 def _check_shapes(cone: CentroidalCone | ConeRays, coms: Any, com_velocities: Any, momenta: Any) -> None:
@@ -103,7 +111,7 @@ def _check_shapes(cone: CentroidalCone | ConeRays, coms: Any, com_velocities: An
         raise TypeError(f"cone has rays of {len(cone.rays)} contact sets (expected one, or one for each of {n} states)")
 
 
-_compiled = jax.jit(scored_block, static_argnames="neighbours")
+_compiled = Kept(scored_block, "neighbours")
 
 
 @cache

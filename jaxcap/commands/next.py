@@ -34,6 +34,7 @@ WHAT IS ASKED
   not help.
 
 STATES and CONTACTS are those of jaxcap score; one contact set for all states.
+  A column specific_angular_momentum counts, as it does there.
 
 SURFACES is YAML (.yaml, .yml) or JSON (.json), in the frame of the contacts:
     surfaces:
@@ -53,8 +54,14 @@ SURFACES is YAML (.yaml, .yml) or JSON (.json), in the frame of the contacts:
         position: [1, 0, 0.4]
         half_sizes: [0.3, 0.4, 0.4]
         friction: 0.5
-  The third column of a rotation is the normal, pointing at the robot. A grid of
-  places, SPACING apart, is tried on all of them.
+      - type: height_field       # uneven ground
+        heights: [[0, 0.1], [0, 0.2]]  # [m], rows along y; or a file's name
+        origin: [0, -0.5, 0]     # of the first height [m]
+        spacing: 1               # between heights, along x and y [m]
+        friction: 0.6
+  The third column of a rotation is the normal, pointing at the robot. A file of
+  heights is .npy, or .npz with an array "heights". A grid of places, SPACING
+  apart, is tried on all of them.
 
 OUT is NPZ (.npz), for n states and m places:
     centres         (m, 3)  of the places [m]
@@ -159,7 +166,9 @@ def _found(
         for batch in source:
             state = batch.coms.astype(dtype), batch.com_velocities.astype(dtype)
             try:
-                parts.append(next_contacts(stance, *state, candidates.contacts, delay, **options))
+                momenta = batch.specific_angular_momenta
+                given = candidates.contacts, delay
+                parts.append(next_contacts(stance, *state, *given, specific_angular_momentum=momenta, **options))
             except ValueError as error:
                 raise InputError(f"--{error}") from error
     if not parts:

@@ -16,7 +16,6 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.spatial import ConvexHull, QhullError
 
 VALID = 1e-10
 """No unit ray may stand out of a unit face by more than this."""
@@ -127,6 +126,9 @@ def _hull(points: Float[np.ndarray, "n q"], options: str) -> Simplices:
     if points.shape[1] == 1:
         low, high = points[:, 0].argmin(), points[:, 0].argmax()
         return Simplices(np.array([[-1.0, points[low, 0]], [1.0, -points[high, 0]]]), np.array([[low], [high]]))
+    # As heavy as half of JAX to import: whoever projects nothing does without.
+    from scipy.spatial import ConvexHull, QhullError
+
     try:
         hull = ConvexHull(points, qhull_options=options)
     except QhullError as error:

@@ -9,7 +9,6 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from scipy.optimize import nnls
 
 from jaxcap.contacts import rationals
 
@@ -117,6 +116,8 @@ def distance_of_parts(rays: Float[np.ndarray, "n d"], found: Parts, enough: floa
 
 def _distance(rays: Float[np.ndarray, "n d"], target: Float[np.ndarray, " d"]) -> float:
     """Of a unit vector from the cone, with what rounding makes of large weights."""
+    from scipy.optimize import nnls  # a heavy import, as in `cone_hull`
+
     try:
         weights, _ = nnls(rays.T, target)
     except RuntimeError:  # too many iterations
@@ -145,6 +146,8 @@ def _fitted(
 
 def _shortest(rays: Float[np.ndarray, "n d"]) -> Float[np.ndarray, " n"]:
     """Weights of the shortest convex combination (Lawson and Hanson, Solving Least Squares Problems, 1974, chapter 23)."""
+    from scipy.optimize import nnls  # a heavy import, as in `cone_hull`
+
     ones = np.ones((1, len(rays)))
     weights, _ = nnls(np.concatenate([rays.T, ones]), np.r_[np.zeros(rays.shape[1]), 1.0])
     return weights / weights.sum()

@@ -1,9 +1,10 @@
 """Surfaces that a hand or a foot may be put on, and the candidates that a grid over them gives.
 
-Every surface is made of flat rectangles: a floor or a wall is one, a rail a narrow one, a box six.
+Most are made of flat rectangles: a floor or a wall is one, a rail a narrow one, a box six. Uneven ground is a field of
+heights, on which a foot stands as flat as it is.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -29,6 +30,18 @@ class Surface(NamedTuple):
     friction: float
 
 
+class HeightField(NamedTuple):
+    """Uneven ground seen from above; see `height_field`."""
+
+    heights: Float[np.ndarray, "nx ny"]
+    """[m]"""
+    origin: Float[np.ndarray, "3"]
+    """Of the first height [m]."""
+    spacing: float
+    """[m]"""
+    friction: float
+
+
 class Candidates(NamedTuple):
     """Places for a new contact, one set of four corners each."""
 
@@ -38,6 +51,26 @@ class Candidates(NamedTuple):
     """[m]"""
     surface: Int[np.ndarray, "m"]
     """Which of the surfaces."""
+    grids: tuple[tuple[int, int], ...]
+    """Of each surface, how many places along its length and its width: they come row by row, each row along the width."""
+
+
+class _Spot(NamedTuple):
+    """Where a hand or a foot would lie."""
+
+    centre: Float[np.ndarray, "3"]
+    rotation: Float[np.ndarray, "3 3"]
+
+
+class _Extent(NamedTuple):
+    """A surface as a grid of places sees it."""
+
+    middle: tuple[float, float]
+    """In its own coordinates [m]."""
+    half_length: float
+    half_width: float
+    spot: Callable[[float, float], _Spot]
+    """At own coordinates [m]."""
 
 
 def surface(
@@ -121,13 +154,47 @@ def box(position: ArrayLike, rotation: ArrayLike, half_sizes: ArrayLike, frictio
     return sides
 
 
-def candidates_on(surfaces: Sequence[Surface], half_length: Number, half_width: Number, spacing: Number) -> Candidates:
+def height_field(heights: ArrayLike, origin: ArrayLike, spacing: Number, friction: Number) -> HeightField:
+    """Uneven ground, from a grid of its heights.
+
+    Args:
+        heights: (nx, ny) [m], at least 2 x 2: `heights[i, j]` is that of the place (i, j) * spacing from the origin, in x
+            and y, above the origin's z.
+        origin: (3,) of the first height [m].
+        spacing: between neighbours [m], > 0.
+        friction: coefficient, > 0.
+
+    Returns:
+        The field. Between its points heights are bilinear.
+
+    Raises:
+        ValueError: naming the field, for a wrong shape, what is not finite, or what is not positive.
+    """
+    heights, origin = np.asarray(heights), np.asarray(origin)
+    for name, field, fits, expected in (
+        ("heights", heights, heights.ndim == 2 and min(heights.shape, default=0) >= 2, "(nx, ny), at least 2 x 2"),
+        ("origin", origin, origin.shape == (3,), "(3,)"),
+    ):
+        if field.dtype.kind not in "iuf" or not fits:
+            raise ValueError(f"{name}: {field.dtype} of shape {field.shape} (expected numbers of shape {expected})")
+        for index in np.argwhere(~np.isfinite(field))[:1]:
+            raise ValueError(f"{name}{index.tolist()} = {field[tuple(index)]} (expected a finite number of metres)")
+    for name, value, unit in (("spacing", spacing, " of metres"), ("friction", friction, "")):
+        if not (np.ndim(value) == 0 and np.isfinite(value) and value > 0):
+            raise ValueError(f"{name} = {value} (expected a positive number{unit})")
+    return HeightField(heights.astype(float), origin.astype(float), float(spacing), float(friction))
+
+
+def candidates_on(
+    surfaces: Sequence[Surface | HeightField], half_length: Number, half_width: Number, spacing: Number
+) -> Candidates:
     """A grid of places for a hand or a foot on surfaces, each with its four corners on them.
 
     Args:
-        surfaces: from `surface`, `rail` and `box`.
-        half_length: of the hand or foot, along the surface's length [m].
-        half_width: along its width [m]. Where a surface is narrower than that, only so much of the hand bears.
+        surfaces: from `surface`, `rail`, `box` and `height_field`.
+        half_length: of the hand or foot, along the surface's length [m]; along x on a field of heights.
+        half_width: along its width [m]. Where a surface is narrower than that, only so much of the hand bears. On a field of
+            heights a foot stays flat: it passes through the height at its centre, with the mean slope under it.
         spacing: between the centres of neighbours [m], at most.
 
     Returns:
@@ -141,18 +208,55 @@ def candidates_on(surfaces: Sequence[Surface], half_length: Number, half_width: 
     for name, value in (("half_length", half_length), ("half_width", half_width), ("spacing", spacing)):
         if not (np.isfinite(value) and value > 0):
             raise ValueError(f"{name} = {value} (expected a positive number of metres)")
-    sets, centres, owners = [], [], []
+    sets, centres, owners, grids = [], [], [], []
     for owner, one in enumerate(surfaces):
-        length, width = min(half_length, one.half_length), min(half_width, one.half_width)
-        for x in _places(one.half_length - length, spacing):
-            for y in _places(one.half_width - width, spacing):
-                centre = one.position + one.rotation @ [x, y, 0]
-                sets.append(rectangle(centre, one.rotation, length, width, one.friction))
+        extent = _extent(one, half_length, half_width)
+        length, width = min(half_length, extent.half_length), min(half_width, extent.half_width)
+        xs = extent.middle[0] + _places(extent.half_length - length, spacing)
+        ys = extent.middle[1] + _places(extent.half_width - width, spacing)
+        for x in xs:
+            for y in ys:
+                centre, rotation = extent.spot(x, y)
+                sets.append(rectangle(centre, rotation, length, width, one.friction))
                 centres.append(centre)
                 owners.append(owner)
+        grids.append((len(xs), len(ys)))
     join = lambda field: np.stack([getattr(each, field) for each in sets])
     contacts = ContactSet(join("points"), join("frames"), join("friction"), join("mask"))
-    return Candidates(contacts, np.array(centres), np.array(owners))
+    return Candidates(contacts, np.array(centres), np.array(owners), tuple(grids))
+
+
+def _extent(one: Surface | HeightField, half_length: float, half_width: float) -> _Extent:
+    """half_length, half_width: of the hand or foot [m]."""
+    if isinstance(one, Surface):
+        flat = lambda x, y: _Spot(one.position + one.rotation @ [x, y, 0], one.rotation)
+        return _Extent((0.0, 0.0), one.half_length, one.half_width, flat)
+    long, wide = ((count - 1) * one.spacing / 2 for count in one.heights.shape)
+    length, width = min(half_length, long), min(half_width, wide)
+
+    def spot(x: float, y: float) -> _Spot:
+        slope_x = (_height(one, x + length, y) - _height(one, x - length, y)) / (2 * length)
+        slope_y = (_height(one, x, y + width) - _height(one, x, y - width)) / (2 * width)
+        return _Spot(one.origin + np.array([x, y, _height(one, x, y)]), _facing_up(slope_x, slope_y))
+
+    return _Extent((long, wide), long, wide, spot)
+
+
+def _height(field: HeightField, x: float, y: float) -> float:
+    """Of the place (x, y) from the field's origin [m]; beyond its edge, that of the edge."""
+    cells = np.subtract(field.heights.shape, 1)
+    place = np.clip(np.array([x, y]) / field.spacing, 0, cells)
+    i, j = first = np.minimum(place.astype(int), cells - 1)
+    u, v = place - first
+    corners = field.heights[i : i + 2, j : j + 2]
+    return float(np.array([1 - u, u]) @ corners @ [1 - v, v])
+
+
+def _facing_up(slope_x: float, slope_y: float) -> np.ndarray:
+    """Frame on ground with these slopes: its first column has no part along y, its third is the normal."""
+    normal = np.array([-slope_x, -slope_y, 1]) / np.sqrt(1 + slope_x**2 + slope_y**2)
+    along = np.array([1, 0, slope_x]) / np.sqrt(1 + slope_x**2)
+    return np.stack([along, np.cross(normal, along), normal], axis=1)
 
 
 def _places(farthest: float, spacing: float) -> np.ndarray:

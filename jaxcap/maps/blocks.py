@@ -19,6 +19,7 @@ from numpy.typing import DTypeLike
 
 from jaxcap.batch.blocks import BLOCK, LANES, padded_cone, side_by_side
 from jaxcap.batch.devices import Spread, spread_over
+from jaxcap.batch.kept_executables import Kept
 from jaxcap.batch.rounds import Shared, States, in_two_rounds
 from jaxcap.contacts.actuation import ActuatedRays
 from jaxcap.contacts.cone import CentroidalCone
@@ -260,7 +261,7 @@ def _unravelled(index: Int[Array, " n"], shape: Int[FloatArray, " d"]) -> Int[Ar
     return jnp.stack(places[::-1])
 
 
-_compiled = jax.jit(_of_block, static_argnames="options")
+_compiled = Kept(_of_block, "options")
 
 
 @cache

@@ -5,7 +5,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from jaxcap.contacts.actuation import ActuatedRays
 from jaxcap.contacts.cone import CentroidalCone, ConeRays
@@ -73,6 +72,8 @@ def contacts_at(
     points, frames, active = (np.asarray(field) for field in (chosen.points, chosen.frames, chosen.mask))
     if slope != 0 and active.any():
         axis = np.array([-np.sin(downhill), np.cos(downhill), 0])
+        from scipy.spatial.transform import Rotation  # a heavy import, as in `cone_hull`
+
         turn = Rotation.from_rotvec(slope * axis).as_matrix()
         centroid = points[active].mean(axis=0)
         points, frames = centroid + (points - centroid) @ turn.T, turn @ frames

@@ -1,5 +1,9 @@
-"""Tolerances, by dtype and named for what they bound, and functions guarded where they would be singular."""
+"""Tolerances, by dtype and named for what they bound, and functions guarded where they would be singular.
 
+They are used hundreds of times in one program: under `jax.jit` each is traced once for each shape.
+"""
+
+import functools
 from typing import NamedTuple
 
 import jax
@@ -31,23 +35,56 @@ def tolerances(dtype: DTypeLike) -> Tolerances:
     return Tolerances(2e-6, 1e-4, pivot=1e-4, reduced_cost=2e-6, weight=2e-7)
 
 
+@jax.jit
 def root(square: Float[Array, "*n"]) -> Float[Array, "*n"]:
     """Square root, zero (and its gradient too) where the argument is not positive."""
     positive = square > 0
     return jnp.where(positive, jnp.sqrt(jnp.where(positive, square, 1)), 0)
 
 
+@functools.partial(jax.jit, static_argnames="otherwise")
 def ratio(numerator: Float[Array, "..."], denominator: Float[Array, "..."], otherwise: float = 0.0) -> Float[Array, "..."]:
     """Quotient, `otherwise` where the denominator is zero."""
     safe = denominator != 0
     return jnp.where(safe, numerator / jnp.where(safe, denominator, 1), otherwise)
 
 
+@jax.jit
 def without_noise(value: Float[Array, "..."], noise: Float[Array, "..."]) -> Float[Array, "..."]:
     """Zero, without a gradient, where the value is no larger than the noise."""
     return jnp.where(jnp.abs(value) > noise, value, 0)
 
 
+@jax.custom_jvp
+def least(values: Float[Array, "k *n"]) -> Float[Array, "*n"]:
+    """The smallest along the first axis; of several that are equal the first one's gradient, where `jnp.min` has the mean of
+    theirs, which is that of no side of a kink."""
+    return jnp.min(values, axis=0)
+
+
+@least.defjvp
+def _least_jvp(primals, tangents):
+    (values,), (change,) = primals, tangents
+    first = jnp.argmin(values, axis=0)[None]
+    return jnp.min(values, axis=0), jnp.take_along_axis(change, first, axis=0)[0]
+
+
+def most(values: Float[Array, "k *n"]) -> Float[Array, "*n"]:
+    """The largest, likewise."""
+    return -least(-values)
+
+
+def lesser(one: Float[Array, "*n"], other: Float[Array, "*n"]) -> Float[Array, "*n"]:
+    """The smaller of two, with the gradient of the first where they are equal."""
+    return jnp.where(one <= other, one, other)
+
+
+def greater(one: Float[Array, "*n"], other: Float[Array, "*n"]) -> Float[Array, "*n"]:
+    """The larger of two, likewise."""
+    return jnp.where(one >= other, one, other)
+
+
+@jax.jit
 def snapped(value: Float[Array, "..."], noise: Float[Array, "..."]) -> Float[Array, "..."]:
     """Zero where the value is no larger than the noise; its gradient is kept, for to the right and left it is not zero."""
     return value - jax.lax.stop_gradient(jnp.where(jnp.abs(value) <= noise, value, 0))
@@ -72,6 +109,7 @@ def direction(velocity: Float[Array, "3 *n"]) -> tuple[Float[Array, "3 *n"], Flo
     return ratio(scaled, norm), norm * scale
 
 
+@jax.jit
 def atanh_ratio(z: Float[Array, "*n"]) -> Float[Array, "*n"]:
     """atanh(sqrt z)/sqrt z for 0 < z < 1, atan(sqrt -z)/sqrt -z for z < 0, 1 at 0; z >= 1 is taken for just below 1."""
     z = jnp.minimum(z, 1 - jnp.finfo(z.dtype).epsneg)
@@ -83,6 +121,7 @@ def atanh_ratio(z: Float[Array, "*n"]) -> Float[Array, "*n"]:
     return jnp.where(small, series, jnp.where(z > 0, 0.5 * jnp.log1p(2 * below / (1 - below)), jnp.arctan(w)) / w)
 
 
+@jax.jit
 def sinh_ratio(z: Float[Array, "*n"]) -> Float[Array, "*n"]:
     """sinh(sqrt z)/sqrt z for z > 0, sin(sqrt -z)/sqrt -z for z < 0, 1 at 0."""
     small = jnp.abs(z) < 1e-2

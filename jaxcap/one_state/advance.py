@@ -3,6 +3,10 @@
 The walk's lower boundary is followed, in time. It goes on where the acceleration is no longer negative: a robot that cannot
 stop (C1) keeps its contacts and is carried along its line. One that would stop too early, and has a way to where it can
 stand (C3.2.1), takes that: so what is capturable stays so.
+
+Angular momentum keeps its proportion to the CoM's speed all the way, L = l alphadot: only so are all later states on the
+line and in the polygon of the first, and to go on from one of them, or to score it, is to go on with the same manoeuvre.
+In a fall no torque acts about the CoM, and it stays as it is.
 """
 
 from enum import IntEnum
@@ -61,6 +65,9 @@ class Advanced(NamedTuple):
     """A `Progress`."""
     status: Int8[Array, "*n"]
     """A `Status`."""
+    specific_angular_momentum: Float[Array, "*n 3"] | None = None
+    """About the CoM, over the mass [m^2/s]: what was given, times the share of the speed that is left; unchanged in free
+    fall, and where there was no speed, for then it does not count. None where none was given."""
 
 
 class Moved(NamedTuple):
@@ -71,17 +78,25 @@ class Moved(NamedTuple):
     time: Float[Array, "*n"]
     progress: Int8[Array, "*n"]
     status: Int8[Array, "*n"]
+    specific_angular_momentum: Float[Array, "3 *n"] | None = None
 
 
 @jax.jit
 def advance_of_lanes(
-    cone: Cone, com: Num[Array, "3 *n"], com_velocity: Num[Array, "3 *n"], duration: Num[Array, "*#n"], gravity: ArrayLike
+    cone: Cone,
+    com: Num[Array, "3 *n"],
+    com_velocity: Num[Array, "3 *n"],
+    duration: Num[Array, "*#n"],
+    gravity: ArrayLike,
+    specific_angular_momentum: Num[Array, "3 *n"] | None = None,
 ) -> Moved:
     """`advance` of states side by side, lanes last.
 
     cone: of all lanes, or of each. com: [m]. com_velocity: [m/s]. duration: [s]. gravity: (3,) [m/s^2].
+    specific_angular_momentum: [m^2/s].
     """
-    motion = motion_of_lanes(cone, com, com_velocity, gravity, rising=True)
+    momentum = specific_angular_momentum
+    motion = motion_of_lanes(cone, com, com_velocity, gravity, specific_angular_momentum=momentum, rising=True)
     line, speed, finite = motion
     dtype = speed.dtype
     duration = jnp.broadcast_to(jnp.asarray(duration, dtype), speed.shape)
@@ -106,13 +121,17 @@ def advance_of_lanes(
     velocity, pull = com_velocity.astype(dtype), _column(gravity, com_velocity.astype(dtype))
     # A velocity that stays as it is stays so to the bit.
     along = velocity * ratio(ride.alpha, speed)
+    left_of_it = ratio(ride.speed, speed, 1.0)
     figure = lambda value: jnp.where(decided, value, jnp.nan)
     return Moved(
-        com_velocity=figure(jnp.where(flies, velocity + pull * duration, velocity * ratio(ride.speed, speed, 1.0))),
+        com_velocity=figure(jnp.where(flies, velocity + pull * duration, velocity * left_of_it)),
         displacement=figure(jnp.where(flies, velocity * duration + pull * (duration * duration / 2), along)),
         time=figure(jnp.where(flies, duration, jnp.where(moving, duration - ride.time_left, 0))),
         progress=progress.astype(jnp.int8),
         status=status.astype(jnp.int8),
+        specific_angular_momentum=None
+        if momentum is None
+        else figure(jnp.where(flies, 1, left_of_it) * momentum.astype(dtype)),
     )
 
 

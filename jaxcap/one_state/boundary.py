@@ -53,7 +53,10 @@ class Pieces(NamedTuple):
 
 
 class Boundary(NamedTuple):
-    """A piecewise linear acceleration over alpha, from alpha = 0 on; convex, as long as it is not negated."""
+    """A piecewise linear acceleration over alpha, from alpha = 0 on; convex, as long as it is not negated.
+
+    Its questions are asked many times in one program, and each, `jax.jit` sees to it, is traced once.
+    """
 
     pieces: Pieces
     used: Int[Array, ""]
@@ -68,6 +71,7 @@ class Boundary(NamedTuple):
         lines = self.pieces._replace(intercept=-self.pieces.intercept, slope=-self.pieces.slope)
         return self._replace(pieces=lines)
 
+    @jax.jit
     def at(self, alpha: Float[Array, "*n"]) -> Float[Array, "*n"]:
         """The acceleration at a finite alpha >= 0 [m/s^2]."""
 
@@ -77,6 +81,7 @@ class Boundary(NamedTuple):
 
         return self.over_pieces(add, alpha, jnp.zeros_like(alpha))
 
+    @jax.jit
     def gain(self, alpha: Float[Array, "*jn"]) -> Float[Array, "*jn"]:
         """Energy gained from 0 to alpha >= 0, the integral of the acceleration [m^2/s^2]; zero for an infinite alpha.
 
@@ -89,6 +94,7 @@ class Boundary(NamedTuple):
 
         return self.over_pieces(add, alpha, jnp.zeros_like(alpha))
 
+    @jax.jit
     def ride(self, energy: Float[Array, "*n"]) -> "Ride":
         """The motion of a CoM that starts at 0 with this energy, to where it first comes to rest.
 
@@ -97,6 +103,7 @@ class Boundary(NamedTuple):
         zero = jnp.zeros_like(energy)
         return self.over_pieces(_ride_piece, None, Ride(energy, zero, zero, jnp.ones_like(zero)))
 
+    @jax.jit
     def duration(self, start: Array, stop: Array, energy: Array, energy_at_stop: Array) -> Float[Array, "*n"]:
         """Time from alpha = start to a finite stop [s] for a CoM that has these energies there.
 

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Num
 
-from jaxcap.numerics.guarded import root, select
+from jaxcap.numerics.guarded import greater, lesser, root, select
 from jaxcap.one_state.boundary import End
 from jaxcap.one_state.line import Line, Motion
 from jaxcap.one_state.polygon import Survey
@@ -83,12 +83,15 @@ def _speeds(line: Line) -> Speeds:
         return jnp.where(alpha < 0, 0, jnp.where(endless, jnp.inf, root(-2 * lower.gain(jnp.maximum(alpha, 0)))))
 
     stops = jnp.where(line.survey.feasible, stops_within(lower.end), 0)
+    some = line.survey.standing & line.survey.feasible
+    if line.quick:
+        none, known = jnp.zeros_like(stops), line.survey.known & (lower.ending != End.MAX_PIECES)
+        return Speeds(none, none, stops, jnp.where(some, stops, 0), stops, known)
     farthest = farthest_rest(polygon, s_min, s_max, line.hanging)
     inside = jnp.where(line.hanging, stops_within(s_max), stops)
-    largest = jnp.where(line.hanging, jnp.maximum(inside, stops_within(farthest.alpha)), stops)
-    before = jnp.where(line.ahead, jnp.minimum(stops_within(s_min), inside), 0)
-    smallest = jnp.where(line.ahead, jnp.minimum(root(2 * line.upper.gain(s_min)), before), 0)
-    some = line.survey.standing & line.survey.feasible
+    largest = jnp.where(line.hanging, greater(stops_within(farthest.alpha), inside), stops)
+    before = jnp.where(line.ahead, lesser(stops_within(s_min), inside), 0)
+    smallest = jnp.where(line.ahead, lesser(root(2 * line.upper.gain(s_min)), before), 0)
     known = line.survey.known & farthest.known & (lower.ending != End.MAX_PIECES) & (line.upper.ending != End.MAX_PIECES)
     return Speeds(jnp.where(some, smallest, 0), before, inside, jnp.where(some, largest, 0), stops, known)
 
@@ -175,17 +178,20 @@ def _way(line: Line, speeds: Speeds, speed: Array, case: Array) -> _Way:
     lower, energy = line.lower, speed * speed / 2
     at_once = lower.ending == End.FLOORLESS
     ride = lower.ride(jnp.where(at_once, 0, energy))
-    reaching, swung = case == Case.C3_2_1, case == Case.C3_3
-    reached = reach_time(lower, line.upper, line.survey.s_min, energy, reaching)
-    swings = swing(line.polygon, line.survey.s_min, line.survey.s_max, ride, swung & (speed > 0))
     gain, stops = lower.gain(lower.end), jnp.where(jnp.isfinite(speeds.stops), speeds.stops, speed)
     # speed^2 + 2 gain, in the form without cancellation where the walk nearly stops
     excess = jnp.where(gain > 0, speed * speed + 2 * gain, (speed - stops) * (speed + stops))
     residual = jnp.where(line.survey.feasible, root(excess), speed)
+    deceleration = jnp.where(at_once, jnp.inf, -lower.at(ride.alpha))
+    if line.quick:
+        return _Way(ride.alpha, ride.time, deceleration, residual, jnp.zeros_like(at_once))
+    reaching, swung = case == Case.C3_2_1, case == Case.C3_3
+    reached = reach_time(lower, line.upper, line.survey.s_min, energy, reaching)
+    swings = swing(line.polygon, line.survey.s_min, line.survey.s_max, ride, swung & (speed > 0))
     return _Way(
         stop=jnp.where(swung, swings.distance, jnp.where(reaching, line.survey.s_min, ride.alpha)),
         duration=jnp.where(swung, swings.time, jnp.where(reaching, reached, ride.time)),
-        deceleration=jnp.where(at_once, jnp.inf, -lower.at(ride.alpha)),
+        deceleration=deceleration,
         residual=jnp.where(swung, swings.residual_speed, residual),
         swinging=swings.swinging,
     )
@@ -195,10 +201,10 @@ def _answer(motion: Motion, speeds: Speeds) -> Capturability:
     line, speed, finite = motion
     case, moving = _case(line, speeds, speed), speed > 0
     # Where no speed is capturable the margin is minus the whole speed: `largest` is zero.
-    margin = jnp.minimum(speeds.largest - speed, jnp.where(line.ahead, speed - speeds.smallest, jnp.inf))
+    margin = lesser(speeds.largest - speed, jnp.where(line.ahead, speed - speeds.smallest, jnp.inf))
     effort, unheld = _effort(line.survey), _unheld(line.survey)
     lacking = UNHELD * (1 - jnp.where(unheld, effort, 1))
-    margin = jnp.where(unheld, jnp.minimum(margin, lacking), margin)
+    margin = jnp.where(unheld, lesser(margin, lacking), margin)
     way = _way(line, speeds, speed, case)
     status = select(
         [~finite, ~speeds.known, ~moving, way.swinging],

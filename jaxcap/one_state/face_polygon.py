@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxcap.contacts.cone import CentroidalCone, EffortFaces
-from jaxcap.numerics.guarded import ratio, snapped, without_noise
+from jaxcap.numerics.guarded import greater, least, lesser, most, ratio, snapped
 from jaxcap.one_state.boundary import Boundary
 from jaxcap.one_state.polygon import Survey
 from jaxcap.one_state.walk import Affine, Next, moved, walk
@@ -79,25 +79,25 @@ class Polygon(NamedTuple):
         on_acceleration, on_alpha, bound = self.on_acceleration, self.on_alpha, self.bound
         force = ratio(self.beyond, on_acceleration)
         static, force, values = jax.lax.optimization_barrier((ratio(bound, on_alpha), force, self.values()))
-        behind = jnp.max(jnp.where(on_alpha < 0, static, -jnp.inf), axis=0)
+        behind = most(jnp.where(on_alpha < 0, static, -jnp.inf))
         # The end ahead, by what makes it: a row that bounds the acceleration from above, or another.
         above, other = (on_alpha > 0) & (on_acceleration > 0), (on_alpha > 0) & (on_acceleration <= 0)
-        s_above, s_other = (jnp.min(jnp.where(rows, static, jnp.inf), axis=0) for rows in (above, other))
-        ahead = jnp.minimum(s_above, s_other)
+        s_above, s_other = (least(jnp.where(rows, static, jnp.inf)) for rows in (above, other))
+        ahead = lesser(s_above, s_other)
         lowest = jnp.max(jnp.where(on_acceleration < 0, values, -jnp.inf), axis=0)
-        least = jnp.max(jnp.where(on_acceleration < 0, force, -jnp.inf), axis=0)
-        most = jnp.min(jnp.where(on_acceleration > 0, force, jnp.inf), axis=0)
+        lowest_force = jnp.max(jnp.where(on_acceleration < 0, force, -jnp.inf), axis=0)
+        highest_force = jnp.min(jnp.where(on_acceleration > 0, force, jnp.inf), axis=0)
         # Ends that meet, but for rounding, are one place. Whether they do all rows say, those without a coefficient too.
-        place, force = _between(behind, ahead), _between(least, most)
+        place, force = _between(behind, ahead), _between(lowest_force, highest_force)
         missed = lambda coefficient, value, bound, slack: jnp.any(coefficient * value > bound + slack, axis=0)
         standing = ~missed(on_alpha, place, bound, self.line.slack_at(-self.fall))
         feasible = ~missed(on_acceleration, force, self.beyond, self.line.slack_at(force))
         return Survey(
-            s_min=jnp.minimum(behind, place),
-            s_max=jnp.maximum(ahead, place),
+            s_min=lesser(behind, place),
+            s_max=greater(ahead, place),
             standing=standing,
             feasible=feasible,
-            pulled_back=jnp.maximum(lowest, most + self.fall) < 0,
+            pulled_back=jnp.maximum(lowest, highest_force + self.fall) < 0,
             known=jnp.ones(standing.shape, bool),
             hangs=(s_above <= ahead) & (ahead < jnp.inf),
             start=(lowest, s_other),  # without a lowest, no other rows are left but walls
@@ -133,12 +133,12 @@ def polygon(
     rows = jnp.tensordot(faces, wrenches, axes=1, precision=jax.lax.Precision.HIGHEST)
     # What a CoM moved by the slack, or a velocity turned by it, could make zero, is zero. A deceleration that is all slack
     # would stop the robot in the end, however far away.
-    on_acceleration = without_noise(rows[:, 0], line.slack_of_acceleration)
+    on_acceleration = snapped(rows[:, 0], line.slack_of_acceleration)
     steepest = line.weight / line.length
     return _stored(
         Polygon(
             on_acceleration=on_acceleration,
-            on_alpha=without_noise(rows[:, 1], line.slack * steepest),
+            on_alpha=snapped(rows[:, 1], line.slack * steepest),
             beyond=_with_offsets(snapped(rows[:, 2], line.slack * line.sideways), cone),
             fall=line.fall,
             line=line,
@@ -155,7 +155,9 @@ def _effort(faces: EffortFaces, line: WrenchLine) -> Float[Array, "*n"]:
     product = lambda rows: jnp.tensordot(jnp.asarray(rows, dtype), to_exert, axes=1, precision=jax.lax.Precision.HIGHEST)
     column = lambda values: jnp.asarray(values, dtype).reshape(-1, *[1] * line.fall.ndim)
     held = jnp.all(product(faces.held) <= column(faces.room) + line.slack * line.weight, axis=0)
-    return jnp.where(held, jnp.max(product(faces.per_wrench) + column(faces.constant), axis=0, initial=0), jnp.inf)
+    return jnp.where(
+        held, greater(most(product(faces.per_wrench) + column(faces.constant)), jnp.zeros_like(line.fall)), jnp.inf
+    )
 
 
 def _with_offsets(beyond: Float[Array, "m *n"], cone: CentroidalCone) -> Float[Array, "m *n"]:

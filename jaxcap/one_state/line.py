@@ -44,8 +44,14 @@ class Line(NamedTuple):
     """Smallest acceleration, to its end."""
     upper: Boundary
     """Minus the largest acceleration, to s_min, where the static region is `ahead`."""
-    skipped: Int8[Array, "*n"]
-    """What a quick look left out: bits for the lower boundary's end, the way ahead, the way back; zero for nothing."""
+    skipped: Int8[Array, "*n"] | None = None
+    """What a quick look left out: bits for the lower boundary's end, the way ahead, the way back; zero for nothing. None: it
+    was no quick look."""
+
+    @property
+    def quick(self) -> bool:
+        """No lane is `ahead` or `hanging` here, and nothing that only those need has to be compiled."""
+        return self.skipped is not None
 
 
 class Motion(NamedTuple):
@@ -190,4 +196,4 @@ def _line(polygon: Producer, survey: Survey, quick: bool, rising: bool) -> Line:
     skip = lambda polygon, limit: jax.tree.map(jnp.zeros_like, lower)
     walk_up = lambda polygon, limit: polygon.flipped().boundary(limit)
     upper = jax.lax.cond(jnp.any(ahead), walk_up, skip, polygon, jnp.where(ahead, survey.s_min, 0))
-    return Line(polygon, survey, ahead, hanging, lower, upper, jnp.zeros(ahead.shape, jnp.int8))
+    return Line(polygon, survey, ahead, hanging, lower, upper)

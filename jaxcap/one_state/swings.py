@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxcap.numerics.guarded import root, tolerances
+from jaxcap.numerics.guarded import lesser, root, tolerances
 from jaxcap.one_state.boundary import End, Ride
 from jaxcap.one_state.polygon import Producer
 
@@ -49,7 +49,7 @@ def _farthest_rest(polygon, s_min, s_max, hanging):
     back = polygon.seen_from(base, -1).boundary(limit, enough=most)
     absorbed = jnp.maximum(-back.gain(back.end), 0)
     everything = (back.ending == End.NEVER) | (back.ending == End.FLOORLESS) | (back.ending == End.LIMIT)
-    beyond = jnp.where(everything, outwards.end, jnp.minimum(outwards.negated().ride(absorbed).alpha, outwards.end))
+    beyond = jnp.where(everything, outwards.end, lesser(outwards.negated().ride(absorbed).alpha, outwards.end))
     known = (back.ending != End.MAX_PIECES) & (outwards.ending != End.MAX_PIECES)
     return Farthest(jnp.where(hanging, s_max + beyond, s_max), known)
 

@@ -14,6 +14,8 @@ from mpl_toolkits.mplot3d.axes3d import Axes3D
 from jaxcap.contacts.surfaces import Candidates
 from jaxcap.plotting.style import DARK, GREY, axes_or_new
 
+ALONE = 0.02
+"""Half of the width of what is one row wide, as it is drawn [m]."""
 COLORS = "PuOr"
 """Colours of margins: told apart by colour-blind readers, pale where the sign changes."""
 
@@ -46,10 +48,10 @@ def capture_region(
     if ax is None:
         axes.computed_zorder = False  # lines on a surface, whatever the depth of its middle
     colors = ScalarMappable(TwoSlopeNorm(0, -limit, limit), COLORS)
-    for owner in np.unique(candidates.surface):
+    for owner, shape in enumerate(candidates.grids):
         mine = candidates.surface == owner
         frame = np.asarray(candidates.contacts.frames)[mine][0, 0]
-        grid = _Grid(candidates.centres[mine], frame, np.clip(margin[mine], -limit, limit))
+        grid = _Grid(shape, candidates.centres[mine], frame, np.clip(margin[mine], -limit, limit))
         paint = [GREY if np.isnan(value) else colors.to_rgba(value) for value in margin[mine]]
         _draw(axes, grid.cells(), paint, grid.zero())
     bar = axes.figure.colorbar(colors, ax=axes, shrink=0.7, pad=0.1, extend="both")
@@ -60,29 +62,43 @@ def capture_region(
 
 
 class _Grid:
-    """The candidates of one surface, which `candidates_on` puts on a grid."""
+    """The candidates of one surface, which `candidates_on` puts on a grid, flat or not."""
 
-    def __init__(self, centres: np.ndarray, frame: np.ndarray, margin: np.ndarray):
-        self._frame, self._centres, self._margin = frame, centres, margin
-        local = (centres - centres[0]) @ frame
-        self._height = centres[0]
-        self._x, self._y = (np.unique(np.round(local[:, k], 9)) for k in (0, 1))
+    def __init__(self, shape: tuple[int, int], centres: np.ndarray, frame: np.ndarray, margin: np.ndarray):
+        self._shape, self._frame = shape, frame
+        self._centres, self._margin = centres.reshape(*shape, 3), margin.reshape(shape)
 
     def cells(self) -> np.ndarray:
         """Corners of a cell around each candidate (m, 4, 3) [m]."""
-        steps = [np.diff(axis).min(initial=0.1) if len(axis) > 1 else 0.04 for axis in (self._x, self._y)]
-        corners = np.array([[1, 1, 0], [-1, 1, 0], [-1, -1, 0], [1, -1, 0]]) * [*steps, 0] / 2
-        return self._centres[:, None] + corners @ self._frame.T
+        by_length = _borders(self._centres, self._frame[:, 0])
+        nodes = np.swapaxes(_borders(np.swapaxes(by_length, 0, 1), self._frame[:, 1]), 0, 1)
+        corners = nodes[1:, 1:], nodes[:-1, 1:], nodes[:-1, :-1], nodes[1:, :-1]
+        return np.stack([each.reshape(-1, 3) for each in corners], axis=1)
 
     def zero(self) -> list[np.ndarray]:
         """Lines of zero margin, (k, 3) each [m]; none on a surface that is one row wide."""
-        shape = len(self._x), len(self._y)
-        if min(shape) < 2:
+        if min(self._shape) < 2:
             return []
-        field = np.ma.masked_invalid(self._margin.reshape(shape)).T
-        lines: Any = contour_generator(self._x, self._y, field).lines(0.0)
-        flat = lambda line: np.column_stack([line, np.zeros(len(line))])
-        return [self._height + flat(line) @ self._frame.T for line in lines]
+        lines: Any = contour_generator(z=np.ma.masked_invalid(self._margin).T).lines(0.0)
+        return [self._at(line) for line in lines]
+
+    def _at(self, line: np.ndarray) -> np.ndarray:
+        """Points between the candidates, from their numbers (k, 2) along length and width."""
+        first = np.minimum(line.astype(int), np.subtract(self._shape, 2))
+        (i, j), (u, v) = first.T, (line - first).T[:, :, None]
+        near, far = ((1 - v) * self._centres[k, j] + v * self._centres[k, j + 1] for k in (i, i + 1))
+        return (1 - u) * near + u * far
+
+
+def _borders(rows: np.ndarray, across: np.ndarray) -> np.ndarray:
+    """Midway between rows of points (n, k, 3), and as far beyond the first and the last: (n + 1, k, 3).
+
+    across: unit vector, the way to go from a row that is alone.
+    """
+    if len(rows) == 1:
+        return np.concatenate([rows - ALONE * across, rows + ALONE * across])
+    middle = (rows[1:] + rows[:-1]) / 2
+    return np.concatenate([2 * rows[:1] - middle[:1], middle, 2 * rows[-1:] - middle[-1:]])
 
 
 def _draw(axes: Any, cells: np.ndarray, paint: list, lines: list[np.ndarray]) -> None:

@@ -12,7 +12,6 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Num
-from scipy.optimize import linprog
 
 from jaxcap.batch.score import score
 from jaxcap.contacts.cone import CentroidalCone, ConeRays
@@ -140,6 +139,8 @@ def _sides(
         balanced = np.concatenate([np.zeros((3, 3)), -turn])
         limits = {"A_eq": np.concatenate([balanced, rays], axis=1), "b_eq": np.concatenate([up, np.zeros(3)])}
         bounds = arm + [(0, None)] * rays.shape[1]
+    from scipy.optimize import linprog  # a heavy import, as in `cone_hull`
+
     found = []
     for sign in (-1, 1):
         cost = np.zeros(len(bounds))

@@ -23,6 +23,7 @@ from jaxcap.contacts.actuation import Actuation
 from jaxcap.contacts.cone import ConeRays, cone_rays
 from jaxcap.contacts.contact_set import ContactSet
 from jaxcap.contacts.conventions import GRAVITY, ArrayLike
+from jaxcap.contacts.scoring_input import unless_zero
 from jaxcap.one_state.advance import Progress
 from jaxcap.one_state.result import Case
 
@@ -90,11 +91,22 @@ class _Field(NamedTuple):
     dtype: str
 
 
+class _States(NamedTuple):
+    """As they are given, n of them."""
+
+    coms: Float[np.ndarray, "n 3"]
+    com_velocities: Float[np.ndarray, "n 3"]
+    momenta: Float[np.ndarray, "n 3"] | None
+    """Angular, over the mass."""
+
+
 class _Touchdown(NamedTuple):
     """States when the new contact begins to bear, n by d: d = 1 where all candidates take the same time, else m."""
 
     coms: Float[np.ndarray, "n d 3"]
     com_velocities: Float[np.ndarray, "n d 3"]
+    momenta: Float[np.ndarray, "n d 3"] | None
+    """Angular, over the mass."""
     progress: Int8[np.ndarray, "n d"]
     lost: Bool[np.ndarray, "n d"]
     """The state is that of an earlier time: contacts are lost, or it would have turned back."""
@@ -110,6 +122,7 @@ def next_contacts(
     *,
     reachable: ArrayLike | None = None,
     horizon: float | None = None,
+    specific_angular_momentum: ArrayLike | None = None,
     actuation: Actuation | None = None,
     sides: int = 4,
     gravity: ArrayLike = GRAVITY,
@@ -128,6 +141,8 @@ def next_contacts(
         lifted: rows of `contacts` that bear nothing from now on: the foot that swings, which the candidates replace.
         reachable: (m,) or (n, m) bool, candidates that can be reached; all if not given.
         horizon: also look for `latest`, up to this delay [s]; takes sixteen times as long.
+        specific_angular_momentum: (3,), or (n, 3) about the CoM, over the mass [m^2/s]; None for zero. Until touchdown, and
+            after it, it keeps its proportion to the CoM's speed (see `advance`).
         actuation: of each of m candidates, what the joints can bear in the posture at touchdown: with rows for the
             `contacts`, then for those of the candidate. It counts from touchdown on, not before.
         sides: edges of each friction pyramid, >= 3.
@@ -145,26 +160,35 @@ def next_contacts(
     """
     stacked = _stacked(candidates)
     sets = _sets(contacts, stacked, lifted, sides, gravity, actuation)
+    states, many = _states(com, com_velocity, specific_angular_momentum)
+    shape = len(states.coms), sets.candidates
+    delays = checked_times("delay", delay, shape if many else shape[1:])
+    same = np.ndim(delay) == 0 and actuation is None
+    delays = np.broadcast_to(np.asarray(delays), shape)[:, : 1 if same else None]
+    there = _reachable(reachable, shape, many) & np.any(stacked.mask, axis=1)
+    found = _answers(sets, states, delays, there)
+    if horizon is not None:
+        found = found._replace(latest=_latest(sets, states, float(checked_times("horizon", horizon, ())), there))
+    return found if many else jax.tree.map(lambda field: field[0], found)
+
+
+def _states(com: Any, com_velocity: Any, momentum: Any) -> tuple[_States, bool]:
+    """As rows, and whether they were. Raises TypeError."""
     com, com_velocity = np.asarray(com), np.asarray(com_velocity)
     if com.ndim not in (1, 2) or com.shape[-1:] != (3,) or com_velocity.shape != com.shape:
         raise TypeError(
             f"com, com_velocity have shapes {com.shape}, {com_velocity.shape} (expected (3,), or (n, 3) for both)"
         )
-    coms, velocities = np.atleast_2d(com), np.atleast_2d(com_velocity)
-    shape = len(coms), sets.candidates
-    delays = checked_times("delay", delay, shape if com.ndim == 2 else shape[1:])
-    same = np.ndim(delay) == 0 and actuation is None
-    delays = np.broadcast_to(np.asarray(delays), shape)[:, : 1 if same else None]
-    there = _reachable(reachable, shape, com.ndim) & np.any(stacked.mask, axis=1)
-    found = _answers(sets, coms, velocities, delays, there)
-    if horizon is not None:
-        found = found._replace(latest=_latest(sets, coms, velocities, float(checked_times("horizon", horizon, ())), there))
-    return found if com.ndim == 2 else jax.tree.map(lambda field: field[0], found)
+    momentum = unless_zero(None if momentum is None else np.asarray(momentum))
+    if momentum is not None and momentum.shape != com.shape:
+        raise TypeError(f"specific_angular_momentum has shape {momentum.shape} (expected {com.shape}, as com)")
+    momenta = None if momentum is None else np.atleast_2d(momentum)
+    return _States(np.atleast_2d(com), np.atleast_2d(com_velocity), momenta), com.ndim == 2
 
 
-def _answers(sets: _Sets, coms: np.ndarray, velocities: np.ndarray, delays: np.ndarray, there: np.ndarray) -> NextContacts:
-    shape = len(coms), sets.candidates
-    touchdown = _touchdown(sets, coms, velocities, delays)
+def _answers(sets: _Sets, states: _States, delays: np.ndarray, there: np.ndarray) -> NextContacts:
+    shape = len(states.coms), sets.candidates
+    touchdown = _touchdown(sets, states, delays)
     wide = lambda field: np.broadcast_to(field, shape)
     margin, capturable, case, status = _scored(sets, touchdown, without=True)
     usable = there & ~wide(touchdown.lost)
@@ -185,12 +209,12 @@ def _answers(sets: _Sets, coms: np.ndarray, velocities: np.ndarray, delays: np.n
     )
 
 
-def _latest(sets: _Sets, coms: np.ndarray, velocities: np.ndarray, horizon: float, there: np.ndarray) -> np.ndarray:
+def _latest(sets: _Sets, states: _States, horizon: float, there: np.ndarray) -> np.ndarray:
     """By bisection, all pairs at a time: what is saved after a delay is after all shorter ones."""
-    shape = len(coms), sets.candidates
+    shape = len(states.coms), sets.candidates
 
     def saved(delays: np.ndarray) -> np.ndarray:
-        touchdown = _touchdown(sets, coms, velocities, delays)
+        touchdown = _touchdown(sets, states, delays)
         return there & ~touchdown.lost & _scored(sets, touchdown, without=False)[1][..., 0]
 
     at_once, last = saved(np.zeros(shape)), saved(np.full(shape, horizon))
@@ -202,14 +226,19 @@ def _latest(sets: _Sets, coms: np.ndarray, velocities: np.ndarray, horizon: floa
     return np.where(last, horizon, np.where(at_once, low, np.nan))
 
 
-def _touchdown(sets: _Sets, coms: np.ndarray, velocities: np.ndarray, delays: np.ndarray) -> _Touchdown:
+def _touchdown(sets: _Sets, states: _States, delays: np.ndarray) -> _Touchdown:
     n, d = delays.shape
-    rows = lambda field: np.repeat(field, d, axis=0)
-    found = advance(sets.during, rows(coms), rows(velocities), delays.reshape(-1), sets.gravity)
-    place = lambda field: np.asarray(field).reshape(n, d, *field.shape[1:])
+    alone = n * d == 1  # not side by side with copies of itself
+    rows, times = (0, delays[0, 0]) if alone else map(_to_a_block, (np.repeat(np.arange(n), d), delays.reshape(-1)))
+    coms, velocities, momenta = jax.tree.map(lambda field: field[rows], states)
+    found = advance(sets.during, coms, velocities, times, sets.gravity, specific_angular_momentum=momenta)
+    of_rows = lambda field: np.asarray(field)[None] if alone else np.asarray(field)[: n * d]
+    place = lambda field: of_rows(field).reshape(n, d, *of_rows(field).shape[1:])
     progress = place(found.progress)
     lost = np.isin(progress, [Progress.TURNS, Progress.LEAVES]) & (delays > 0)
-    return _Touchdown(place(found.com), place(found.com_velocity), progress, lost)
+    spinning = found.specific_angular_momentum
+    momenta = None if spinning is None else place(spinning)
+    return _Touchdown(place(found.com), place(found.com_velocity), momenta, progress, lost)
 
 
 def _scored(sets: _Sets, touchdown: _Touchdown, without: bool) -> tuple[np.ndarray, ...]:
@@ -237,14 +266,20 @@ def _scored(sets: _Sets, touchdown: _Touchdown, without: bool) -> tuple[np.ndarr
 
 def _scored_pairs(sets: _Sets, touchdown: _Touchdown, which: np.ndarray, state: np.ndarray) -> tuple[np.ndarray, ...]:
     """which: the set of each pair. state: its row in the states at touchdown."""
-    # The last again and again, to a size of a block: what JAX would cut and pad takes longer than the answer.
     p = len(which)
-    which, state = (np.pad(x, (0, max(LANES, 1 << (p - 1).bit_length()) - p), mode="edge") for x in (which, state))
-    coms, velocities = (field.reshape(-1, 3)[state] for field in (touchdown.coms, touchdown.com_velocities))
+    which, state = _to_a_block(which), _to_a_block(state)
+    vectors = touchdown.coms, touchdown.com_velocities, touchdown.momenta
+    coms, velocities, momenta = jax.tree.map(lambda field: field.reshape(-1, 3)[state], vectors)
     cones = jax.tree.map(lambda leaf: leaf[which], sets.cones)
     limits = None if sets.actuation is None else jax.tree.map(lambda leaf: leaf[state % sets.candidates], sets.actuation)
-    found = score(cones, coms, velocities, sets.gravity, actuation=limits)
+    found = score(cones, coms, velocities, sets.gravity, specific_angular_momentum=momenta, actuation=limits)
     return tuple(np.asarray(field)[:p] for field in (found.margin, found.capturable, found.case, found.status))
+
+
+def _to_a_block(rows: np.ndarray) -> np.ndarray:
+    """The last again and again, to a size of a block: what JAX would cut and pad takes longer than the answer."""
+    size = max(LANES, 1 << max(len(rows) - 1, 0).bit_length())
+    return np.concatenate([rows, np.repeat(rows[-1:], size - len(rows))])
 
 
 def _sets(
@@ -324,12 +359,12 @@ def _lifted(contacts: ContactSet, lifted: Any) -> np.ndarray:
     return rows
 
 
-def _reachable(reachable: Any, shape: tuple[int, int], axes: int) -> np.ndarray:
+def _reachable(reachable: Any, shape: tuple[int, int], many: bool) -> np.ndarray:
     """(n, m) bool. Raises TypeError."""
     if reachable is None:
         return np.ones(shape, bool)
     given = np.asarray(reachable)
-    fits = given.shape in ((shape, shape[1:]) if axes == 2 else (shape[1:],))
+    fits = given.shape in ((shape, shape[1:]) if many else (shape[1:],))
     if given.dtype != bool or not fits:
         raise TypeError(f"reachable: {given.dtype} of shape {given.shape} (expected bool of shape {shape[1:]}, or {shape})")
     return np.broadcast_to(given, shape)

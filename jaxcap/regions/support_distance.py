@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Num
 
-from jaxcap.batch.blocks import RAYS_BLOCK, block_of, over_blocks, over_chunks
+from jaxcap.batch.blocks import RAYS_BLOCK, Block, block_of, over_blocks, over_chunks, to_host
 from jaxcap.contacts.cone import CentroidalCone, ConeRays
 from jaxcap.contacts.contact_set import ContactSet
 from jaxcap.contacts.conventions import GRAVITY, ArrayLike, FloatArray
@@ -92,8 +92,9 @@ def _distances(one: Callable, name: str, region: Any, own: bool, points: Array, 
         raise TypeError(f"points has shape {points.shape} and {name} {sets} contact sets (expected a row for each)")
     rows = points.reshape(n, -1, 2)
     if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves((region, rows))):
-        answer = _compiled_block(one, (region, rows), pull)
+        answer = _compiled_block(one, Block((region, rows), None), pull)
     else:
+        region, rows = to_host((region, rows))
         run = lambda start: _compiled_block(one, block_of((region, rows), n, start, RAYS_BLOCK), pull)
         answer = over_blocks(run, n, RAYS_BLOCK)
     return answer.reshape(points.shape[:-1])
@@ -103,8 +104,8 @@ _compiled_one = jax.jit(lambda one, *arguments: one(*arguments), static_argnums=
 
 
 @partial(jax.jit, static_argnums=0)
-def _compiled_block(one: Callable, rows: tuple, gravity: Array) -> Array:
-    return over_chunks(lambda lanes: one(lanes[0], jnp.moveaxis(lanes[1], 1, 0), gravity), rows)
+def _compiled_block(one: Callable, block: Block, gravity: Array) -> Array:
+    return over_chunks(lambda lanes: one(lanes[0], jnp.moveaxis(lanes[1], 1, 0), gravity), block.rows, filled=block.filled)
 
 
 def _finite(points):

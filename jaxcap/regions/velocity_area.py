@@ -11,7 +11,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Num
-from scipy.spatial import ConvexHull, QhullError
 
 from jaxcap.batch.score import score
 from jaxcap.contacts.cone import CentroidalCone, ConeRays
@@ -223,6 +222,8 @@ def _headings_of(directions: Num[FloatArray, "n 3"], xp: Any) -> Any:
 
 def _triangles(directions: Num[np.ndarray, "n 3"]) -> Int[np.ndarray, "t 3"]:
     """Triangles (t, 3) of the hull of unit vectors, counter-clockwise from outside."""
+    from scipy.spatial import ConvexHull, QhullError  # a heavy import, as in `cone_hull`
+
     try:
         hull = ConvexHull(directions)
     except (QhullError, ValueError) as error:
