@@ -3,6 +3,7 @@
 from jaxcap.batch.advance import advance as advance
 from jaxcap.batch.kept_programs import keep_programs as keep_programs
 from jaxcap.batch.score import score as score
+from jaxcap.contacts.actuated_cone import actuated_cone as actuated_cone
 from jaxcap.contacts.actuation import Actuation as Actuation
 from jaxcap.contacts.cone import CentroidalCone as CentroidalCone
 from jaxcap.contacts.cone import ConeRays as ConeRays

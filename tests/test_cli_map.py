@@ -89,6 +89,7 @@ def test_help_of_map_is_good_reading(capsys):
         ["jaxcap map feet.yaml -o kernel.zarr", "EXIT CODES", "xarray.open_dataset", "[m]", "[m/s]", "[rad]"],
         ["com_x", "heading", "pitch", "speed", "velocity_x", "min_speed", "max_speed", "0:360deg:72"],
         ["--axis", "--quantity", "--dtype", "--sides", "--force", "-o OUT, --output OUT"],
+        ["--robot", "--posture", "--row", "--joints", "50,000"],
     ):
         assert [word for word in words if word not in text] == []
     assert max(map(len, text.splitlines())) <= 80

@@ -9,6 +9,15 @@ MARKS = ("slow", "sim", "evaluation")
 """What is left out unless it is asked for. All are registered in pyproject.toml."""
 
 QUICK: dict[str, tuple[str, ...]] = {
+    "test_actuated_cone.py": (
+        "test_faces_of_a_sum",
+        "test_a_wrench_is_within_the_faces_if_and_only_if_forces_and_torques_make_it[arm]",
+        "test_a_joint_that_gravity_turns",
+        "test_what_cannot_be_is_named",
+        "test_a_limb_on_two_links",
+        "test_too_many_faces",
+        "test_on_the_host_only",
+    ),
     "test_advance.py": (
         "test_what_cannot_be_is_named",
         "test_the_oracle_agrees_with_the_pendulum",

@@ -7,7 +7,7 @@ from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
 import jax
 import tyro
@@ -18,7 +18,7 @@ from jaxcap.commands.where import WHERE, Where, check_where, place_of
 from jaxcap.engine import Here, Place, Unit, over_units, shard_of
 from jaxcap.errors import InputError
 from jaxcap.files.contact_files import read_contact_sets
-from jaxcap.maps.contact_axes import Contacts, given_sets, with_sets
+from jaxcap.maps.contact_axes import Contacts, Mapped, given_sets, with_sets
 from jaxcap.maps.grid import axes_around, grid_of
 
 MAP = """Map where a robot can stop: capturability over a grid of states.
@@ -29,9 +29,21 @@ EXAMPLES
   jaxcap map feet.yaml -o all.zarr --axis com_x=-0.4:0.4:201 --axis com_y=0 \\
       --axis speed=0:1.5:101 --quantity margin --quantity case
   jaxcap map feet.yaml -o ice.zarr --axis friction=0.05:0.8:31
+  jaxcap map --robot talos --posture half_sitting --joints leg -o legs.zarr
+  jaxcap map --robot g1 --posture walk.parquet --row 120 -o step.zarr
 
 CONTACTS is YAML or JSON with one set of contacts, or several; see jaxcap score
 --help.
+
+A ROBOT
+  --robot ROBOT --posture POSTURE, in place of CONTACTS: of a robot that holds
+  one posture, whose joints bear only so much. ROBOT is its name, or a URDF or
+  MJCF file; POSTURE one of its SRDF file, which stands on level ground, or a
+  file that jaxcap states wrote, with --row. Joints between the base and a
+  contact count; with --joints NAME, perhaps several times, those whose name
+  holds NAME. By faces, or, where there would be more than 50,000 of them, by
+  rays, which take several times as long: a note says so. com_z is the CoM's
+  height in that posture if not given. The CoM moves, the posture stays.
 
 AXES
   --axis NAME=VALUE, NAME=FIRST:LAST:COUNT (both ends included) or NAME=A,B,C:
@@ -100,13 +112,17 @@ Keep = Callable[[], AbstractContextManager[None]]
 
 
 def map_kernel(
-    contacts: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="CONTACTS")],
+    contacts: Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="CONTACTS")] = None,
     *,
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="OUT")],
     axis: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="NAME=VALUES")] = (),
     quantity: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="NAME")] = (),
     dtype: Literal["float32", "float64"] = "float32",
     sides: int = 4,
+    robot: Annotated[str | None, tyro.conf.arg(metavar="ROBOT")] = None,
+    posture: Annotated[str | None, tyro.conf.arg(metavar="POSTURE")] = None,
+    row: int = 0,
+    joints: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="NAME")] = (),
     cache: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
     no_cache: bool = False,
     where: tyro.conf.OmitArgPrefixes[Where] = Where(),  # noqa: B008
@@ -124,6 +140,10 @@ def map_kernel(
         quantity: What to map; as often as needed.
         dtype: Precision of the computation and of the figures written.
         sides: Edges of the pyramid that replaces each friction cone, at least 3.
+        robot: Whose limits count: its name, or URDF or MJCF file.
+        posture: Of the robot: a name, or a Parquet file of states.
+        row: Of that file.
+        joints: Count if their name holds this; as often as needed. By default all that carry a contact.
         cache: Keep compiled programs in this directory, not in your cache folder.
         no_cache: Keep none and take none.
         where: Where a Zarr map is computed.
@@ -136,11 +156,12 @@ def map_kernel(
     if sides < 3:
         raise InputError(f"--sides {sides} (expected at least 3)")
     check_where(where)
-    stance = _contacts(contacts)
     given = named_values("--axis", axis, "NAME=VALUES, for example com_x=-0.4:0.4:201")
-    axes = with_sets(stance, axes_around(given_sets(stance).values(), given))
+    mapped = _mapped(contacts, robot, posture, row, joints, sides)
+    sets = given_sets(mapped.stance)
+    axes = with_sets(mapped.what, axes_around(sets.values(), mapped.heights | given))
     points = grid_of(axes)
-    notes = notes_of(list(given_sets(stance).values()), points)
+    notes = notes_of(list(sets.values()), points)
     if strict and notes:
         raise InputError(f"--strict: {'; '.join(notes)}")
     keep = partial(compilation_cache, cache and cache.absolute(), no_cache)
@@ -152,7 +173,7 @@ def map_kernel(
             _elsewhere(where, keep, output, force) as other,
         ):
             options: dict[str, Any] = {"sides": sides, "dtype": dtype, "force": force, "progress": True, "elsewhere": other}
-            computed = write_map(output, stance, axes, quantity or None, **options)
+            computed = write_map(output, mapped.what, axes, quantity or None, **options, said=mapped.said)
     except (KeyboardInterrupt, SystemExit):
         if output.suffix.lower() == ".zarr":
             print(f"note: the same command goes on where this one ended ({output}.partial)", file=sys.stderr)
@@ -208,6 +229,44 @@ def _over(place: Place, keep: Keep, work: Callable[[int], int], numbers: list[in
             yield unit.number
     if failed:
         raise InputError(f"{len(failed)} of {len(numbers)} regions failed, the others are written; {'; '.join(failed[:3])}")
+
+
+class _Mapped(NamedTuple):
+    """What the map is of."""
+
+    stance: Contacts
+    what: Mapped
+    """The same contacts, or what a robot exerts on them."""
+    said: dict[str, str] = {}  # noqa: RUF012
+    """In the map, besides."""
+    heights: dict[str, str] = {}  # noqa: RUF012
+    """The axis com_z, where it is not given."""
+
+
+def _mapped(
+    contacts: Path | None, robot: str | None, posture: str | None, row: int, joints: tuple[str, ...], sides: int
+) -> _Mapped:
+    """Raises InputError for options that do not go together."""
+    if robot is None:
+        for name, given in (("--posture", posture is not None), ("--row", row != 0), ("--joints", bool(joints))):
+            if given:
+                raise InputError(f"{name} (expected with --robot)")
+        if contacts is None:
+            raise InputError("CONTACTS is missing (expected a file of contacts, or --robot and --posture)")
+        stance = _contacts(contacts)
+        return _Mapped(stance, stance)
+    if contacts is not None or posture is None:
+        raise InputError(
+            "--robot (expected with --posture)" if posture is None else f"{contacts} (expected without --robot)"
+        )
+    from jaxcap.commands.posture import limited_cone, posture_of
+    from jaxcap.maps.labels import as_file
+
+    standing = posture_of(robot, posture, row, joints)
+    limited = limited_cone(standing, sides)
+    print(f"note: {standing.words}{limited.note and '; '}{limited.note}", file=sys.stderr)
+    said = {"robot": standing.words, "sides": str(sides), "contacts": as_file({0: standing.contacts})}
+    return _Mapped(standing.contacts, limited.cone, said, {"com_z": f"{standing.height:.3f}"})
 
 
 def _contacts(path: Path) -> Contacts:

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from jaxcap.contacts.contact_set import ContactSet
 from jaxcap.contacts.conventions import SAME_PLACE, SAME_PLACE_ERRORS, ArrayLike, FloatArray
@@ -13,10 +13,24 @@ from jaxcap.contacts.friction import STICKIEST, wrench_rays
 from jaxcap.contacts.projection import ProjectionError, boxed_faces, cone_faces
 
 
+class EffortFaces(NamedTuple):
+    """Share of a robot's torque limits that standing still takes, by the wrench per unit mass that contacts then exert."""
+
+    per_wrench: Float[FloatArray, "e 6"]
+    """The effort is the largest of per_wrench @ wrench + constant: one row for each piece ..."""
+    constant: Float[FloatArray, " e"]
+    held: Float[FloatArray, "h 6"]
+    """... where held @ wrench <= room; elsewhere no torques hold the robot. Faces of the cone without limits, but for joints
+    whose limit is zero."""
+    room: Float[FloatArray, " h"]
+    """[m/s^2]"""
+
+
 class CentroidalCone(NamedTuple):
     """All wrenches that the contacts can exert: faces @ (force, torque about `origin`) <= 0, (6).
 
-    With a momentum box, all wrenches per unit mass that contacts and box can: faces @ ... <= offsets. That is a polyhedron.
+    With a momentum box, or joints that bear only so much, all wrenches per unit mass: faces @ ... <= offsets. That is a
+    polyhedron.
 
     A row is a face, an equality a pair of opposite rows; rows of zeros are padding. Rows are scaled such that
     (faces[:, :3], faces[:, 3:] * length) have unit length.
@@ -29,7 +43,9 @@ class CentroidalCone(NamedTuple):
     length: Float[FloatArray, "*batch"]
     """Distance of the farthest contact point from the origin [m], or 1 for a single place: the scale of rounding errors."""
     offsets: Float[FloatArray, "*batch m"] | None = None
-    """What the momentum box adds to each row, >= 0 [m/s^2]; None without a box: zero, to the bit and at no cost."""
+    """How far out each row is [m/s^2], by the momentum box and the joints; None without: zero, to the bit and at no cost."""
+    effort: EffortFaces | None = None
+    """Of `actuated_cone`; None without the robot's limits."""
 
     def padded(self, rows: int) -> "CentroidalCone":
         """The same cone with at least this many rows: those added bound nothing."""
@@ -63,19 +79,42 @@ def centroidal_cone(contacts: ContactSet, sides: int = 4, momentum_box: ArrayLik
     """
     if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves((contacts, momentum_box))):
         raise ValueError("centroidal_cone works on the host, once for each contact set: call it outside jit, vmap and grad")
-    box = np.asarray(momentum_box)
-    if not (box.ndim == 0 and box.dtype.kind in "iuf" and 0 <= box < np.inf):
-        raise ValueError(f"momentum_box = {momentum_box} (expected a number of m^2/s^2, not negative)")
+    box, stance = box_of_all(momentum_box), stance_of(contacts, sides)
+    try:
+        return projected(stance.rays, stance.origin, stance.length, box)
+    except ProjectionError as error:
+        raise ProjectionError(f"faces of {len(stance.touching)} contacts with {sides} sides: {error}") from error
+
+
+class Stance(NamedTuple):
+    """The contacts that touch, on the host."""
+
+    touching: ContactSet
+    rays: Float[np.ndarray, "r 6"]
+    """Of `wrench_rays`."""
+    origin: Float[np.ndarray, "3"]
+    """About which torques are taken [m]."""
+    length: Float[np.ndarray, ""]
+    """Its size [m], 1 for a single place."""
+
+
+def stance_of(contacts: ContactSet, sides: int) -> Stance:
+    """Where a robot stands, from one contact set. Raises ValueError for an empty one and for sides < 3."""
     active = jax.tree.map(lambda leaf: np.asarray(leaf)[np.asarray(contacts.mask)], contacts)
     if len(active) == 0:
         raise ValueError(f"contacts: none of {len(contacts)} is active (expected at least one)")
     origin = active.points.mean(axis=0)
     length = np.linalg.norm(active.points - origin, axis=1).max()
     length = length if length > _same_place(active) else 1.0
-    try:
-        return projected(np.asarray(wrench_rays(active, sides, origin)), origin, np.asarray(length), float(box))
-    except ProjectionError as error:
-        raise ProjectionError(f"faces of {len(active)} contacts with {sides} sides: {error}") from error
+    return Stance(active, np.asarray(wrench_rays(active, sides, origin)), origin, np.asarray(length))
+
+
+def box_of_all(momentum_box: ArrayLike) -> float:
+    """The momentum box of one posture. Raises ValueError for what is none."""
+    box = np.asarray(momentum_box)
+    if not (box.ndim == 0 and box.dtype.kind in "iuf" and 0 <= box < np.inf):
+        raise ValueError(f"momentum_box = {momentum_box} (expected a number of m^2/s^2, not negative)")
+    return float(box)
 
 
 def projected(
@@ -94,12 +133,15 @@ def projected(
     """
     scale = np.array([1, 1, 1, length, length, length])
     faces = boxed_faces(rays / scale) if momentum_box else cone_faces(rays / scale)
-    # An order that rounding does not change: not that of the contacts, nor Qhull's.
-    order = np.lexsort(np.round(faces, 9).T)
-    faces = faces[order] / scale
+    faces = faces[order_of(faces)] / scale
     # The farthest that a box goes along a normal; exact, whatever rounding the projection has.
     offsets = momentum_box * np.abs(faces[:, 3:]).sum(axis=1) if momentum_box else None
     return CentroidalCone(faces=faces, origin=origin, length=length, offsets=offsets)
+
+
+def order_of(faces: Float[np.ndarray, "m 6"]) -> Int[np.ndarray, " m"]:
+    """An order of unit normals that rounding does not change: not that of the contacts, nor Qhull's."""
+    return np.lexsort(np.round(faces, 9).T)
 
 
 class ConeRays(NamedTuple):

@@ -41,11 +41,12 @@ QHULL_OPTIONS = ("Qt", "QJ")
 """Tried in this order: merged facets triangulated; points joggled, so that there is nothing to merge."""
 
 
-def cone_faces(rays: Float[np.ndarray, "n d"]) -> Float[np.ndarray, "m d"]:
+def cone_faces(rays: Float[np.ndarray, "n d"], qhull_options: tuple[str, ...] = QHULL_OPTIONS) -> Float[np.ndarray, "m d"]:
     """Rows H of unit length with {H w <= 0} = {sum of non-negative multiples of the rays}.
 
     Args:
         rays: zero rays are ignored. Their coordinates should be of one scale (torques divided by a length).
+        qhull_options: tried in this order.
 
     Returns:
         The faces. An equality is a pair of opposite rows; no row at all means the whole space.
@@ -57,7 +58,7 @@ def cone_faces(rays: Float[np.ndarray, "n d"]) -> Float[np.ndarray, "m d"]:
     unit = rays[norms > 0] / norms[norms > 0, None]
     failures = []
     best = CheckedFaces(unit[:0], np.inf)
-    for found in _attempts(unit):
+    for found in _attempts(unit, qhull_options):
         if isinstance(found, ProjectionError):
             failures.append(found)
             continue
@@ -99,13 +100,13 @@ def boxed_faces(rays: Float[np.ndarray, "n 6"]) -> Float[np.ndarray, "m 6"]:
     return normals
 
 
-def _attempts(rays: Float[np.ndarray, "n d"]) -> Iterator[CheckedFaces | ProjectionError]:
+def _attempts(rays: Float[np.ndarray, "n d"], qhull_options: tuple[str, ...]) -> Iterator[CheckedFaces | ProjectionError]:
     """The faces of the cone of unit rays in one way after another, or what stood in the way."""
     each_once = distinct(rays)
     span, outside = split(each_once, np.eye(rays.shape[1]))
     equalities = np.concatenate([outside, -outside])
     for attempt in ATTEMPTS:
-        for options in QHULL_OPTIONS:
+        for options in qhull_options:
             try:
                 found = _faces(each_once, span, attempt, options)
                 faces = np.concatenate([found.faces, equalities])

@@ -8,14 +8,14 @@ import jax
 import numpy as np
 from numpy.typing import DTypeLike
 
-from jaxcap.contacts.cone import CentroidalCone, ConeRays, centroidal_cone
+from jaxcap.contacts.cone import ConeRays, centroidal_cone
 from jaxcap.contacts.contact_set import ContactSet
 from jaxcap.contacts.conventions import ArrayLike
 from jaxcap.errors import InputError, needs_extra
 from jaxcap.files.fields import MAPPED, output_types
 from jaxcap.files.plausibility import Plausibility, Stand
 from jaxcap.maps.blocks import Answers
-from jaxcap.maps.contact_axes import Contacts, contact_sets, given_sets, with_sets
+from jaxcap.maps.contact_axes import Mapped, contact_sets, given_sets, with_sets
 from jaxcap.maps.grid import CARTESIAN, POSITION, Grid, grid_of
 from jaxcap.one_state.decision import LIMITS
 from jaxcap.version import __version__
@@ -53,7 +53,7 @@ class About(NamedTuple):
 
 
 def checked(
-    cone: Contacts | CentroidalCone | ConeRays,
+    cone: Mapped,
     axes: Mapping[str, Any],
     quantities: Sequence[str] | None,
     dtype: DTypeLike | None,
@@ -83,14 +83,15 @@ def checked(
 
 
 def prepared(
-    cone: Contacts | CentroidalCone | ConeRays,
+    cone: Mapped,
     asked: Asked,
     gravity: ArrayLike,
     sides: int,
     progress: bool,
     backend: str | None = None,
+    said: Mapping[str, str] | None = None,
 ) -> tuple[Answers, About]:
-    """What computes the map, and what the map says of itself."""
+    """What computes the map, and what the map says of itself; `said` is what else it says."""
     gravity = np.asarray(gravity, np.float64)
     if gravity.shape != (3,) or not np.isfinite(gravity).all():
         raise InputError(f"gravity = {gravity} (expected 3 finite numbers)")
@@ -106,6 +107,7 @@ def prepared(
         "gravity": gravity.tolist(),
         "dtype": asked.dtype.name,
         **origin,
+        **(said or {}),
         **({"notes": "; ".join(notes)} if notes else {}),
     }
     types = output_types(asked.dtype)
@@ -142,9 +144,7 @@ def notes_of(sets: Sequence[ContactSet], points: Grid) -> tuple[str, ...]:
     return plausible.notes("of the map")
 
 
-def _cones(
-    cone: Contacts | CentroidalCone | ConeRays, points: Grid, sides: int, progress: bool
-) -> tuple[list, dict[str, Any]]:
+def _cones(cone: Mapped, points: Grid, sides: int, progress: bool) -> tuple[list, dict[str, Any]]:
     """The cones at all points of the grid's axes of contacts, and what the map says of their origin."""
     sets = given_sets(cone)
     if not sets:

@@ -21,12 +21,13 @@ from jaxcap.batch.blocks import BLOCK, LANES, padded_cone, side_by_side
 from jaxcap.batch.devices import Spread, spread_over
 from jaxcap.batch.kept_executables import Kept
 from jaxcap.batch.rounds import Shared, States, in_two_rounds
-from jaxcap.contacts.cone import CentroidalCone, ConeRays
+from jaxcap.contacts.actuation import ActuatedRays
+from jaxcap.contacts.cone import CentroidalCone
 from jaxcap.contacts.conventions import ArrayLike, FloatArray
 from jaxcap.maps.grid import CONTACTS, POSITION, Grid, look_up, look_up_momentum
 from jaxcap.numerics.whole import ceil_div
 from jaxcap.one_state.decision import LIMITS, capturability_along, capturability_at
-from jaxcap.one_state.line import Motion
+from jaxcap.one_state.line import Cone, Motion
 
 REGION = 1 << 20
 """Most states of a region: a few megabytes of each figure."""
@@ -101,7 +102,7 @@ class Answers:
 
     def __init__(
         self,
-        cones: Sequence[CentroidalCone | ConeRays],
+        cones: Sequence[Cone],
         grid: Grid,
         quantities: tuple[str, ...],
         gravity: ArrayLike,
@@ -186,12 +187,15 @@ class Answers:
         return values.reshape(shape)  # drops the axis of a single speed
 
 
-def _about_contacts(cone: CentroidalCone | ConeRays, tables: dict[str, np.ndarray], dtype: DTypeLike) -> tuple:
+def _about_contacts(cone: Cone, tables: dict[str, np.ndarray], dtype: DTypeLike) -> tuple:
     """Cone and tables on the device, with the contacts' centroid as the origin of positions: subtracted before they are
     cast."""
     origin = dict(zip(POSITION, np.asarray(cone.origin, np.float64), strict=True))
     local = {name: jnp.asarray(_cast(values - origin.get(name, 0), dtype)) for name, values in tables.items()}
-    return jax.tree.map(jnp.asarray, cone._replace(origin=np.zeros(3))), local
+    here = np.zeros(3)
+    if isinstance(cone, ActuatedRays):
+        return jax.tree.map(jnp.asarray, cone._replace(rays=cone.rays._replace(origin=here))), local
+    return jax.tree.map(jnp.asarray, cone._replace(origin=here)), local
 
 
 def _cast(values: np.ndarray, dtype: DTypeLike) -> np.ndarray:
@@ -200,9 +204,9 @@ def _cast(values: np.ndarray, dtype: DTypeLike) -> np.ndarray:
         return values.astype(dtype)
 
 
-def _equally_long(cones: Sequence[CentroidalCone | ConeRays]) -> list[CentroidalCone | ConeRays]:
+def _equally_long(cones: Sequence[Cone]) -> list[Cone]:
     """Cones with equally many faces, for which one program serves."""
-    padded = [padded_cone(cone) for cone in cones]
+    padded = [cone if isinstance(cone, ActuatedRays) else padded_cone(cone) for cone in cones]
     rows = max(len(cone.faces) for cone in padded if isinstance(cone, CentroidalCone)) if len(padded) > 1 else 0
     return [cone.padded(rows) if rows and isinstance(cone, CentroidalCone) else cone for cone in padded]
 
@@ -218,7 +222,7 @@ class _Options(NamedTuple):
 
 
 def _of_block(
-    cone: CentroidalCone | ConeRays,
+    cone: Cone,
     tables: dict[str, Array],
     gravity: Float[Array, "3"],
     start: Int[FloatArray, ""],

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from jaxcap.contacts.actuation import ActuatedRays
 from jaxcap.contacts.cone import CentroidalCone, ConeRays
 from jaxcap.contacts.contact_set import ContactSet
 from jaxcap.errors import InputError
@@ -13,13 +14,15 @@ from jaxcap.maps.grid import CONTACTS, Grid
 
 Contacts = ContactSet | Sequence[ContactSet] | Mapping[str, ContactSet]
 """One set, or several, perhaps with names."""
+Mapped = Contacts | CentroidalCone | ConeRays | ActuatedRays
+"""What a map is of: contacts, or what they can exert."""
 Sets = Mapping[Any, ContactSet]
 """Contact sets by their names, or by their numbers."""
 
 
-def given_sets(cone: Contacts | CentroidalCone | ConeRays) -> Sets:
+def given_sets(cone: Mapped) -> Sets:
     """The contact sets given; none for a cone. Raises InputError for what is no contact set."""
-    if isinstance(cone, CentroidalCone | ConeRays):
+    if isinstance(cone, CentroidalCone | ConeRays | ActuatedRays):
         return {}
     sets = cone if isinstance(cone, Mapping) else dict(enumerate([cone] if isinstance(cone, ContactSet) else cone))
     if not sets:
@@ -31,7 +34,7 @@ def given_sets(cone: Contacts | CentroidalCone | ConeRays) -> Sets:
     return sets
 
 
-def with_sets(cone: Contacts | CentroidalCone | ConeRays, axes: Mapping[str, Any]) -> dict[str, Any]:
+def with_sets(cone: Mapped, axes: Mapping[str, Any]) -> dict[str, Any]:
     """The axes; for several contact sets also one of their numbers, unless it is there. Raises InputError for axes of
     contacts where there are none.
     """

@@ -15,13 +15,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike
 
-from jaxcap.contacts.cone import CentroidalCone, ConeRays
 from jaxcap.contacts.conventions import GRAVITY, ArrayLike
 from jaxcap.errors import InputError, needs_extra
 from jaxcap.files.whole_file import check_output, whole_file
 from jaxcap.maps.asked import About, Asked, bar, checked, prepared
 from jaxcap.maps.blocks import Answers, regions
-from jaxcap.maps.contact_axes import Contacts
+from jaxcap.maps.contact_axes import Mapped
 from jaxcap.maps.region_work import Elsewhere, RegionWork
 
 with needs_extra("maps", "jaxcap.maps"):
@@ -37,7 +36,7 @@ EXTENSIONS = (".zarr", ".nc")
 
 
 def kernel_map(
-    cone: Contacts | CentroidalCone | ConeRays,
+    cone: Mapped,
     axes: Mapping[str, Any],
     quantities: Sequence[str] | None = None,
     *,
@@ -55,7 +54,8 @@ def kernel_map(
     centroid, the CoM staying where it is, so that the ground goes down towards downhill [rad, 0 if left out].
 
     Args:
-        cone: Contacts, which are projected to faces, or a cone of one contact set from `centroidal_cone` or `cone_rays`.
+        cone: Contacts, which are projected to faces, or a cone of one contact set from `centroidal_cone` or `cone_rays`, or
+            of one posture from `actuated_cone`, or from `actuated` with rays.
             Contacts may be several sets, perhaps with names: then the map has an axis contact_set, of their numbers.
         axes: com_x, com_y, com_z [m]; and either heading, pitch [rad] and speed [m/s], or velocity_x, velocity_y,
             velocity_z [m/s]. heading counts from x towards y, pitch from the horizontal upwards; pitch and velocity_z may be
@@ -87,7 +87,7 @@ def kernel_map(
 
 def write_map(
     path: str | Path,
-    cone: Contacts | CentroidalCone | ConeRays,
+    cone: Mapped,
     axes: Mapping[str, Any],
     quantities: Sequence[str] | None = None,
     *,
@@ -97,6 +97,7 @@ def write_map(
     progress: bool = False,
     force: bool = False,
     elsewhere: Elsewhere | None = None,
+    said: Mapping[str, str] | None = None,
 ) -> int:
     """`kernel_map` into a file: Zarr (.zarr), region by region and larger than memory if need be, or netCDF (.nc).
 
@@ -118,6 +119,7 @@ def write_map(
         progress: Show a bar on stderr, if that is a terminal.
         force: Replace a file that is there.
         elsewhere: What computes the regions of a Zarr map, if not this process, or which of them; the bytes are the same.
+        said: What else the map says of itself, as attributes.
 
     Returns:
         How many states were computed; without a speed, lines of travel.
@@ -130,17 +132,17 @@ def write_map(
     _check_path(path, force)
     asked = checked(cone, axes, quantities, dtype)
     if path.suffix.lower() == ".nc":
-        return _written_whole(path, cone, asked, gravity, sides, progress, force, elsewhere)
+        return _written_whole(path, cone, asked, gravity, sides, progress, force, elsewhere, said)
     _check_disk(path, asked.bytes * (1 - len(recorded(path)) / len(regions(asked.grid))))
     other = elsewhere or Elsewhere()
-    answers, about = prepared(cone, asked, gravity, sides, progress, other.backend)
+    answers, about = prepared(cone, asked, gravity, sides, progress, other.backend, said)
     growing: dict[str, Any] = {"regions": len(answers.regions), "force": force, "shard": other.shard}
     with growing_map(path, about.coordinates, about.variables, about.settings, **growing) as store:
         ours = other.shard.part(list(range(len(answers.regions))))
         todo = [number for number in ours if number not in store.done]
         total, computed = (sum(answers.states(answers.regions.region(number)) for number in some) for some in (ours, todo))
         work = RegionWork(
-            path.absolute(), cone, dict(axes), asked.quantities, gravity, sides, asked.dtype.name, about.settings
+            path.absolute(), cone, dict(axes), asked.quantities, gravity, sides, asked.dtype.name, about.settings, said
         )
         with bar("states", total, total - computed, progress) as shown:
             for number in _grown(answers, store, todo) if other.run is None else other.run(work, todo):
@@ -159,13 +161,14 @@ def _grown(answers: Answers, store: GrowingMap, todo: list[int]) -> Iterator[int
 
 def _written_whole(
     path: Path,
-    cone: Contacts | CentroidalCone | ConeRays,
+    cone: Mapped,
     asked: Asked,
     gravity: ArrayLike,
     sides: int,
     progress: bool,
     force: bool,
     elsewhere: Elsewhere | None,
+    said: Mapping[str, str] | None,
 ) -> int:
     """A netCDF map."""
     if elsewhere is not None:
@@ -174,7 +177,7 @@ def _written_whole(
         import h5netcdf  # noqa: F401
         import h5py  # noqa: F401
     _check_disk(path, asked.bytes)
-    answers, about = prepared(cone, asked, gravity, sides, progress)
+    answers, about = prepared(cone, asked, gravity, sides, progress, said=said)
     dataset = _in_memory(answers, about, progress)
     with whole_file(path, force=force) as handle:
         dataset.to_netcdf(handle.name, engine="h5netcdf")

@@ -1,21 +1,20 @@
 """Regions of a map that other processes compute, each alone. Needs the extra `maps`."""
 
 import json
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
 
-from jaxcap.contacts.cone import CentroidalCone, ConeRays
 from jaxcap.contacts.conventions import ArrayLike
 from jaxcap.engine.shards import WHOLE, Shard
 from jaxcap.errors import InputError
 from jaxcap.files.settings import differences
 from jaxcap.maps.asked import checked, prepared
 from jaxcap.maps.blocks import Answers
-from jaxcap.maps.contact_axes import Contacts
+from jaxcap.maps.contact_axes import Mapped
 from jaxcap.maps.store import partial_path, settings_in, write_chunks
 
 
@@ -36,13 +35,14 @@ class RegionWork:
     """What computes a region of an unfinished map and writes its chunks. It can be sent to other processes."""
 
     path: Path
-    cone: Contacts | CentroidalCone | ConeRays
+    cone: Mapped
     axes: dict[str, Any]
     quantities: tuple[str, ...]
     gravity: ArrayLike
     sides: int
     dtype: str
     settings: dict[str, Any]
+    said: Mapping[str, str] | None = None
 
     def __call__(self, number: int) -> int:
         """Computes the region with this number, and writes it. Returns the number."""
@@ -57,7 +57,7 @@ class RegionWork:
         key = f"{self.path} {json.dumps(settings, sort_keys=True)}"
         if key not in _KEPT:
             asked = checked(self.cone, self.axes, self.quantities, self.dtype)
-            answers, about = prepared(self.cone, asked, self.gravity, self.sides, progress=False)
+            answers, about = prepared(self.cone, asked, self.gravity, self.sides, progress=False, said=self.said)
             here = json.loads(json.dumps(about.settings))
             for name in differences(settings, here)[:1]:
                 raise InputError(f"{self.path}: {name} of the map is {settings.get(name)} (a worker has {here.get(name)})")

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxcap.contacts.cone import CentroidalCone
+from jaxcap.contacts.cone import CentroidalCone, EffortFaces
 from jaxcap.numerics.guarded import greater, least, lesser, most, ratio, snapped
 from jaxcap.one_state.boundary import Boundary
 from jaxcap.one_state.polygon import Survey
@@ -30,7 +30,7 @@ class Polygon(NamedTuple):
     on_alpha: Float[Array, "m *n"]
     """[1/s^2]"""
     beyond: Float[Array, "m *n"]
-    """[m/s^2]; of the force beyond free fall: zero where nothing of gravity is across the line, but for spin and a box."""
+    """[m/s^2]; of the force beyond free fall: zero where nothing of gravity is across the line, but for spin and offsets."""
     fall: Float[Array, "*n"]
     """`WrenchLine.fall` [m/s^2]."""
     line: WrenchLine
@@ -39,6 +39,8 @@ class Polygon(NamedTuple):
     """The largest that the two coefficients can be."""
     size: Float[Array, "*n"]
     """Scale of alpha [m]: size of the stance plus the CoM's distance from it."""
+    effort: Float[Array, "*n"] | None = None
+    """Of holding still where the CoM was when the polygon was made; None without the robot's limits."""
     start: tuple[Float[Array, "*n"], ...] = ()
     """What the survey knows of the walk: the smallest acceleration at alpha = 0, and where a polygon without one ends."""
 
@@ -99,6 +101,7 @@ class Polygon(NamedTuple):
             known=jnp.ones(standing.shape, bool),
             hangs=(s_above <= ahead) & (ahead < jnp.inf),
             start=(lowest, s_other),  # without a lowest, no other rows are left but walls
+            effort=self.effort,
         )
 
     def boundary(
@@ -136,17 +139,29 @@ def polygon(
         Polygon(
             on_acceleration=on_acceleration,
             on_alpha=snapped(rows[:, 1], line.slack * steepest),
-            beyond=_with_box(snapped(rows[:, 2], line.slack * line.sideways), cone),
+            beyond=_with_offsets(snapped(rows[:, 2], line.slack * line.sideways), cone),
             fall=line.fall,
             line=line,
             top=(line.largest, steepest),
             size=line.length * line.remoteness,
+            effort=None if cone.effort is None else _effort(cone.effort, line),
         )
     )
 
 
-def _with_box(beyond: Float[Array, "m *n"], cone: CentroidalCone) -> Float[Array, "m *n"]:
-    """What rows allow, and what the momentum box adds."""
+def _effort(faces: EffortFaces, line: WrenchLine) -> Float[Array, "*n"]:
+    """Share of the limits that holding still at alpha = 0 takes; infinite where no torques do."""
+    to_exert, dtype = -line.at_rest, line.fall.dtype
+    product = lambda rows: jnp.tensordot(jnp.asarray(rows, dtype), to_exert, axes=1, precision=jax.lax.Precision.HIGHEST)
+    column = lambda values: jnp.asarray(values, dtype).reshape(-1, *[1] * line.fall.ndim)
+    held = jnp.all(product(faces.held) <= column(faces.room) + line.slack * line.weight, axis=0)
+    return jnp.where(
+        held, greater(most(product(faces.per_wrench) + column(faces.constant)), jnp.zeros_like(line.fall)), jnp.inf
+    )
+
+
+def _with_offsets(beyond: Float[Array, "m *n"], cone: CentroidalCone) -> Float[Array, "m *n"]:
+    """What rows of a cone allow, and how far out they are by the momentum box and the joints."""
     if cone.offsets is None:
         return beyond
     offsets = jnp.asarray(cone.padded(1).offsets, beyond.dtype)

@@ -168,6 +168,9 @@ def _finite_cone(cone: Cone) -> Bool[Array, "*n"]:
     finite = jnp.all(jnp.isfinite(rows), axis=(0, 1)) & jnp.all(jnp.isfinite(jnp.asarray(cone.origin)), axis=0)
     if isinstance(cone, CentroidalCone) and cone.offsets is not None:
         finite &= jnp.all(jnp.isfinite(jnp.asarray(cone.offsets)), axis=0)
+    if isinstance(cone, CentroidalCone) and cone.effort is not None:
+        for part in cone.effort:
+            finite &= jnp.all(jnp.isfinite(jnp.asarray(part)))
     return finite
 
 
