@@ -63,13 +63,13 @@ def test_options_that_cannot_be_used(tmp_path, capsys, options, message):
 def test_the_map_is_that_of_the_posture(tmp_path, capsys):
     """By faces as by rays, and its file says whose it is."""
     output = tmp_path / "a.nc"
-    command = ["map", "--robot", "anymal", "--posture", "standing", "--joints", "LF", "--dtype", "float64", *AXES]
+    command = ["map", "--robot", "romeo", "--posture", "half_sitting", "--joints", "Ankle", "--dtype", "float64", *AXES]
     assert main([*command, "-o", str(output)]) == 0
-    assert "standing: limits of 3 joints" in capsys.readouterr().err
+    assert "half_sitting: limits of 4 joints" in capsys.readouterr().err
     with xarray.open_dataset(output) as found:
-        assert "limits of 3 joints" in found.attrs["robot"] and "position" in found.attrs["contacts"]
+        assert "limits of 4 joints" in found.attrs["robot"] and "position" in found.attrs["contacts"]
         speeds, height = found["max_speed"].transpose("com_x", "heading").values.reshape(-1), float(found["com_z"])
-    standing = posture_of("anymal", "standing", 0, ("LF",))
+    standing = posture_of("romeo", "half_sitting", 0, ("Ankle",))
     assert height == pytest.approx(standing.height, abs=1e-3)
     places = np.meshgrid(np.linspace(-0.1, 0.1, 3), np.arange(4) * np.pi / 2, indexing="ij")
     x, heading = (values.reshape(-1) for values in places)
