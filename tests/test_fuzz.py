@@ -97,11 +97,11 @@ def test_undecided_states_fail():
 
 
 def test_derivatives_are_told_apart():
-    ahead = np.array([[1.0, 1, 1, 1, 5, 0], [1, 1, 1, 1, 9, 0], [1, 1, 1, 1, 9, 3]])
-    behind = np.array([[1.0, 1, 2, 2, 1, 0], [1, 1, 2, 2, 1, 0], [1, 1, 2, 2, 1, 0]])
-    derivative = np.array([1.0, 1.5, 2.0, 1.5, 7.0, 3.0])
-    column = gradients.verdicts(derivative, gradients.Differences(ahead, behind), np.zeros(6), np.ones(6))
-    assert column.tolist() == ["right", "wrong", "kinks right", "kinks wrong", "unclear", "narrow"]
+    ahead = np.array([[1.0, 1, 1, 1, 1, 5, 0], [1, 1, 1, 1, 1, 9, 0], [1, 1, 1, 1, 1, 9, 3]])
+    behind = np.array([[1.0, 1, 2, 2, 2, 1, 0], [1, 1, 2, 2, 2, 1, 0], [1, 1, 2, 2, 2, 1, 0]])
+    derivative = np.array([1.0, 1.5, 2.0, 1.5, 7.0, 7.0, 3.0])
+    column = gradients.verdicts(derivative, gradients.Differences(ahead, behind), np.zeros(7), np.ones(7))
+    assert column.tolist() == ["right", "wrong", "kinks right", "kinks between", "kinks wrong", "unclear", "narrow"]
     same = gradients.Differences(ahead[:, :2], ahead[:, :2])
     none = gradients.verdicts(np.array([np.nan, 1]), same, np.array([1, np.inf]), 1)
     assert none.tolist() == ["nan", "no margin"]

@@ -10,8 +10,6 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from scipy.optimize import linprog
-from scipy.spatial import HalfspaceIntersection, QhullError
 
 from jaxcap.contacts.cone_hull import ProjectionError
 from jaxcap.contacts.limbs import Loads
@@ -57,6 +55,8 @@ def places_of(held: Halfspaces, up: Float[np.ndarray, "3"], axes: Float[np.ndarr
         up: unit vector against gravity.
         axes: two unit vectors across it.
     """
+    from scipy.optimize import linprog  # a heavy import, as in `cone_hull`
+
     # The wrench of a robot at rest is (up, arm x up).
     wrenches = np.zeros((6, 3))
     wrenches[:3, 2], wrenches[3:, :2] = up, np.cross(axes, up).T
@@ -102,6 +102,8 @@ class _Asked(NamedTuple):
 
 def _asked(loads: Loads, places: Places, place: Float[np.ndarray, "2"]) -> _Asked | None:
     """The least effort, and its dual; None where no torques hold the robot, if only by rounding."""
+    from scipy.optimize import linprog
+
     wrench = places.wrenches @ np.append(place, 1.0)
     rays, torques = (
         loads.rays.reshape(-1, 6),
@@ -139,6 +141,8 @@ def _vertices(places: Places, lines: Float[np.ndarray, "e 3"]) -> Float[np.ndarr
 
 def _intersections(half_spaces: Float[np.ndarray, "h d1"], inside: Float[np.ndarray, " d"]) -> Float[np.ndarray, "v d"]:
     """Corners of half_spaces @ (point, 1) <= 0."""
+    from scipy.spatial import HalfspaceIntersection, QhullError
+
     try:
         corners = HalfspaceIntersection(half_spaces, inside, qhull_options="Qt").intersections
     except QhullError as error:

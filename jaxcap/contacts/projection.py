@@ -41,12 +41,12 @@ QHULL_OPTIONS = ("Qt", "QJ")
 """Tried in this order: merged facets triangulated; points joggled, so that there is nothing to merge."""
 
 
-def cone_faces(rays: Float[np.ndarray, "n d"], qhull_options: tuple[str, ...] = QHULL_OPTIONS) -> Float[np.ndarray, "m d"]:
+def cone_faces(rays: Float[np.ndarray, "n d"], qhull_options: tuple[str, ...] | None = None) -> Float[np.ndarray, "m d"]:
     """Rows H of unit length with {H w <= 0} = {sum of non-negative multiples of the rays}.
 
     Args:
         rays: zero rays are ignored. Their coordinates should be of one scale (torques divided by a length).
-        qhull_options: tried in this order.
+        qhull_options: tried in this order; None for QHULL_OPTIONS.
 
     Returns:
         The faces. An equality is a pair of opposite rows; no row at all means the whole space.
@@ -58,7 +58,7 @@ def cone_faces(rays: Float[np.ndarray, "n d"], qhull_options: tuple[str, ...] = 
     unit = rays[norms > 0] / norms[norms > 0, None]
     failures = []
     best = CheckedFaces(unit[:0], np.inf)
-    for found in _attempts(unit, qhull_options):
+    for found in _attempts(unit, qhull_options or QHULL_OPTIONS):
         if isinstance(found, ProjectionError):
             failures.append(found)
             continue
