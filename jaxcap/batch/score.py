@@ -72,7 +72,7 @@ def score(
     limited = with_limits(cone, actuation, momentum_box, len(coms))
     own, common = own_or_common(limited)
     states = States(coms, com_velocities, own, momenta)
-    xp: Any = jnp if isinstance(gravity, jax.Array) else np
+    xp: Any = jnp if any(isinstance(leaf, jax.Array) for leaf in jax.tree.leaves(gravity)) else np
     shared = Shared(xp.asarray(gravity, jnp.result_type(coms, jnp.float32)), common)
     if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves((states, shared.cone))):
         return scored_block(shared, states, neighbours)
