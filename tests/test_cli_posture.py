@@ -62,11 +62,11 @@ def test_options_that_cannot_be_used(tmp_path, capsys, options, message):
 @pytest.mark.slow
 def test_the_map_is_that_of_the_posture(tmp_path, capsys):
     """By faces as by rays, and its file says whose it is."""
-    output = tmp_path / "a.nc"
+    output = tmp_path / "a.zarr"
     command = ["map", "--robot", "romeo", "--posture", "half_sitting", "--joints", "Ankle", "--dtype", "float64", *AXES]
     assert main([*command, "-o", str(output)]) == 0
     assert "half_sitting: limits of 4 joints" in capsys.readouterr().err
-    with xarray.open_dataset(output) as found:
+    with xarray.open_zarr(output) as found:
         assert "limits of 4 joints" in found.attrs["robot"] and "position" in found.attrs["contacts"]
         speeds, height = found["max_speed"].transpose("com_x", "heading").values.reshape(-1), float(found["com_z"])
     standing = posture_of("romeo", "half_sitting", 0, ("Ankle",))
