@@ -83,3 +83,21 @@ def test_heights_that_cannot_be_read(tmp_path):
 def test_what_cannot_be_is_named(tmp_path, document, words):
     with pytest.raises(InputError, match=words):
         read_surfaces(written(tmp_path, document))
+
+
+@pytest.mark.parametrize("name", ["h.npy", "h.npz"])
+def test_a_damaged_file_of_heights_is_told_in_a_line(name, tmp_path):
+    """Whatever NumPy's parsers make of it: tokenize, zipfile and zlib have errors of their own."""
+    heights, room = tmp_path / name, written(tmp_path, {"surfaces": [FIELD | {"heights": name}]})
+    grid = np.zeros((3, 3))
+    np.save(heights, grid) if name.endswith("npy") else np.savez(heights, heights=grid)
+    whole, rng = heights.read_bytes(), np.random.default_rng(0)
+    refused = 0
+    for place in rng.integers(128, size=300):
+        heights.write_bytes(whole[:place] + bytes([rng.integers(256)]) + whole[place + 1 :])
+        try:
+            read_surfaces(room)
+        except InputError as error:
+            refused += 1
+            assert "surfaces[0]: " in str(error) and "\n" not in str(error)
+    assert refused > 100

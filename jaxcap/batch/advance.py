@@ -7,11 +7,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Num
 
-from jaxcap.batch.blocks import BLOCK, RAYS_BLOCK, Block, block_of, over_blocks, over_chunks, own_or_common, to_host
+from jaxcap.batch.blocks import BLOCK, RAYS_BLOCK, Block, over_blocks, over_chunks, own_or_common
 from jaxcap.contacts.actuation import ActuatedRays, Actuation, with_limits
 from jaxcap.contacts.cone import CentroidalCone, ConeRays
 from jaxcap.contacts.conventions import GRAVITY, ArrayLike, checked_gravity
-from jaxcap.contacts.scoring_input import check_cone, relative, rounded, unless_zero
+from jaxcap.contacts.scoring_input import as_given, check_cone, relative, rounded, unless_zero
 from jaxcap.one_state.advance import Advanced, Moved, advance_of_lanes
 from jaxcap.one_state.line import Cone
 
@@ -65,22 +65,20 @@ def advance(
     """
     check_cone(cone)
     checked_gravity(gravity, finite=False)
-    array = lambda x: x if isinstance(x, jax.Array) else np.asarray(x)
-    com, velocity = array(com), array(com_velocity)
-    given = None if specific_angular_momentum is None else array(specific_angular_momentum)
-    _check_shapes(cone, com, velocity, given)
-    many = com.ndim == 2
-    duration = checked_times("duration", duration, (len(com),) if many else ())
-    near, position = relative(cone, com)
-    limited = with_limits(near, actuation, 0.0, len(com) if many else None)
+    start, velocity, given = map(as_given, (com, com_velocity, specific_angular_momentum))
+    _check_shapes(cone, start, velocity, given)
+    many = start.ndim == 2
+    duration = checked_times("duration", duration, (len(start),) if many else ())
+    near, position = relative(cone, start)
+    limited = with_limits(near, actuation, 0.0, len(start) if many else None)
     states, momenta = (position, rounded(velocity), rounded(duration)), unless_zero(rounded(given))
     one = advance_of_lanes if not many else _of_rows
     found = one(limited, *states, gravity, momenta)
     if given is not None and momenta is None:
         found = found._replace(specific_angular_momentum=0 * found.com_velocity)  # NaN where undecided
     # Positions far from the origin keep their precision: it is the difference that was computed.
-    traced = any(isinstance(x, jax.core.Tracer) for x in (com, found.displacement))
-    there = com + found.displacement if traced or isinstance(com, jax.Array) else com + np.asarray(found.displacement)
+    traced = any(isinstance(x, jax.core.Tracer) for x in (start, found.displacement))
+    there = start + found.displacement if traced or isinstance(start, jax.Array) else start + np.asarray(found.displacement)
     return Advanced(com=there, **found._asdict())
 
 
@@ -134,8 +132,7 @@ def _of_rows(cone: Cone, coms: Any, velocities: Any, durations: Any, gravity: Ar
     pull = jnp.asarray(gravity, jnp.result_type(coms, jnp.float32))
     if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves((rows, common, pull))):
         return _block(common, Block(rows, None), pull)
-    n, block, rows = len(coms), BLOCK if own is None else RAYS_BLOCK, to_host(rows)
-    return over_blocks(lambda start: _block(common, block_of(rows, n, start, block), pull), n, block)
+    return over_blocks(lambda block: _block(common, block, pull), rows, len(coms), BLOCK if own is None else RAYS_BLOCK)
 
 
 @jax.jit

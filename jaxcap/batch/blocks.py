@@ -48,13 +48,15 @@ def own_or_common(cone: Cone) -> tuple[ConeRays | ActuatedRays | None, Cone | No
     return None, cone if isinstance(cone, ActuatedRays) else padded_cone(cone)
 
 
-def over_blocks(run: Callable[[int], Any], n: int, block: int) -> Any:
-    """run(start) for the block that begins with each row, joined, and cut to n rows; of no rows, those of one empty block.
+def over_blocks(run: Callable[["Block"], Any], rows: Any, n: int, block: int, shares: int = 1) -> Any:
+    """`run` of n rows, a block at a time, joined; of no rows, what it makes of one empty block.
 
-    The first block runs alone: it compiles the program, which the others share.
+    The first block runs alone: it compiles the program, which the others share. shares: of a block, see `block_of`.
     """
+    rows = to_host(rows) if shares == 1 else rows
+    one = lambda start: run(block_of(rows, n, start, block, shares))
     first, *starts = range(0, max(n, 1), block)
-    parts = [run(first), *side_by_side(run, starts)]
+    parts = [one(first), *side_by_side(one, starts)]
     return jax.tree.map(lambda *fields: _joined(fields, n), *parts)
 
 

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxcap.batch.blocks import BLOCK, RAYS_BLOCK, Block, block_of, over_blocks, own_or_common, to_host
+from jaxcap.batch.blocks import BLOCK, RAYS_BLOCK, Block, over_blocks, own_or_common
 from jaxcap.batch.devices import Spread, spread_over
 from jaxcap.batch.kept_executables import Kept
 from jaxcap.batch.rounds import Shared, States, scored_block
@@ -15,7 +15,7 @@ from jaxcap.batch.second_opinion import decided
 from jaxcap.contacts.actuation import Actuation, with_limits
 from jaxcap.contacts.cone import CentroidalCone, ConeRays
 from jaxcap.contacts.conventions import GRAVITY, ArrayLike, checked_gravity
-from jaxcap.contacts.scoring_input import check_cone, relative, rounded, unless_zero
+from jaxcap.contacts.scoring_input import as_given, check_cone, relative, rounded, unless_zero
 from jaxcap.one_state.result import Capturability
 
 
@@ -64,16 +64,13 @@ def score(
     check_cone(cone)
     checked_gravity(gravity, finite=False)
     _check_shapes(cone, coms, com_velocities, specific_angular_momentum)
-    cone, coms = relative(cone, coms)
-    # NumPy's stay NumPy's, block by block: JAX compiles what makes an array of them, and cuts it, for every number of rows.
-    array = lambda x: x if isinstance(x, jax.Array) else rounded(np.asarray(x))
-    coms, com_velocities = array(coms), array(com_velocities)
-    momenta = unless_zero(None if specific_angular_momentum is None else array(specific_angular_momentum))
-    limited = with_limits(cone, actuation, momentum_box, len(coms))
+    cone, arms = relative(cone, coms)
+    positions, velocities, momenta = (rounded(as_given(x)) for x in (arms, com_velocities, specific_angular_momentum))
+    limited = with_limits(cone, actuation, momentum_box, len(positions))
     own, common = own_or_common(limited)
-    states = States(coms, com_velocities, own, momenta)
+    states = States(positions, velocities, own, unless_zero(momenta))
     xp: Any = jnp if any(isinstance(leaf, jax.Array) for leaf in jax.tree.leaves(gravity)) else np
-    shared = Shared(xp.asarray(gravity, jnp.result_type(coms, jnp.float32)), common)
+    shared = Shared(xp.asarray(gravity, jnp.result_type(positions, jnp.float32)), common)
     if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves((states, shared.cone))):
         return scored_block(shared, states, neighbours)
     found = _over_devices(shared, states, neighbours)
@@ -85,11 +82,10 @@ def _over_devices(shared: Shared, states: States, neighbours: bool) -> Capturabi
     shares = max(len(devices), 1)
     block, n = shares * (BLOCK if states.cones is None else RAYS_BLOCK), len(states.coms)
     if shares == 1:
-        states = to_host(states)
-        return over_blocks(lambda start: _one_block(shared, block_of(states, n, start, block), neighbours), n, block)
+        return over_blocks(lambda one: _one_block(shared, one, neighbours), states, n, block)
     spread = _spread(devices, neighbours)
     everywhere = spread.everywhere(shared)
-    return over_blocks(lambda start: spread(everywhere, block_of(states, n, start, block, shares).rows), n, block)
+    return over_blocks(lambda one: spread(everywhere, one.rows), states, n, block, shares)
 
 
 def _one_block(shared: Shared, block: Block, neighbours: bool) -> Capturability:

@@ -157,9 +157,9 @@ def map_kernel(
         raise InputError(f"--sides {sides} (expected at least 3)")
     check_where(where)
     given = named_values("--axis", axis, "NAME=VALUES, for example com_x=-0.4:0.4:201")
-    mapped = _mapped(contacts, robot, posture, row, joints, sides)
-    sets = given_sets(mapped.stance)
-    axes = with_sets(mapped.what, axes_around(sets.values(), mapped.heights | given))
+    subject = _subject(contacts, robot, posture, row, joints, sides)
+    sets = given_sets(subject.stance)
+    axes = with_sets(subject.what, axes_around(sets.values(), subject.heights | given))
     points = grid_of(axes)
     notes = notes_of(list(sets.values()), points)
     if strict and notes:
@@ -173,7 +173,7 @@ def map_kernel(
             _elsewhere(where, keep, output, force) as other,
         ):
             options: dict[str, Any] = {"sides": sides, "dtype": dtype, "force": force, "progress": True, "elsewhere": other}
-            computed = write_map(output, mapped.what, axes, quantity or None, **options, said=mapped.said)
+            computed = write_map(output, subject.what, axes, quantity or None, **options, said=subject.said)
     except (KeyboardInterrupt, SystemExit):
         if output.suffix.lower() == ".zarr":
             print(f"note: the same command goes on where this one ended ({output}.partial)", file=sys.stderr)
@@ -231,21 +231,21 @@ def _over(place: Place, keep: Keep, work: Callable[[int], int], numbers: list[in
         raise InputError(f"{len(failed)} of {len(numbers)} regions failed, the others are written; {'; '.join(failed[:3])}")
 
 
-class _Mapped(NamedTuple):
+class _Subject(NamedTuple):
     """What the map is of."""
 
     stance: Contacts
     what: Mapped
     """The same contacts, or what a robot exerts on them."""
-    said: dict[str, str] = {}  # noqa: RUF012
+    said: dict[str, str]
     """In the map, besides."""
-    heights: dict[str, str] = {}  # noqa: RUF012
+    heights: dict[str, str]
     """The axis com_z, where it is not given."""
 
 
-def _mapped(
+def _subject(
     contacts: Path | None, robot: str | None, posture: str | None, row: int, joints: tuple[str, ...], sides: int
-) -> _Mapped:
+) -> _Subject:
     """Raises InputError for options that do not go together."""
     if robot is None:
         for name, given in (("--posture", posture is not None), ("--row", row != 0), ("--joints", bool(joints))):
@@ -254,7 +254,7 @@ def _mapped(
         if contacts is None:
             raise InputError("CONTACTS is missing (expected a file of contacts, or --robot and --posture)")
         stance = _contacts(contacts)
-        return _Mapped(stance, stance)
+        return _Subject(stance, stance, {}, {})
     if contacts is not None or posture is None:
         raise InputError(
             "--robot (expected with --posture)" if posture is None else f"{contacts} (expected without --robot)"
@@ -266,7 +266,7 @@ def _mapped(
     limited = limited_cone(standing, sides)
     print(f"note: {standing.words}{limited.note and '; '}{limited.note}", file=sys.stderr)
     said = {"robot": standing.words, "sides": str(sides), "contacts": as_file({0: standing.contacts})}
-    return _Mapped(standing.contacts, limited.cone, said, {"com_z": f"{standing.height:.3f}"})
+    return _Subject(standing.contacts, limited.cone, said, {"com_z": f"{standing.height:.3f}"})
 
 
 def _contacts(path: Path) -> Contacts:

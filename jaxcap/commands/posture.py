@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
+import jax
 import numpy as np
 
 from jaxcap.commands.states import load_robot
@@ -107,11 +108,7 @@ def _named(robot: "Robot", name: str, friction: float) -> tuple[np.ndarray, Cont
 
     q = robot.postures[name]
     found = states_of(robot, np.array([0.0, 0.01]), np.stack([q, q]), np.zeros((2, robot.model.nv)), friction=friction)
-    return q, ContactSet.unchecked(*(np.asarray(field)[0] for field in _fields(found.contacts)))
-
-
-def _fields(contacts: ContactSet) -> tuple:
-    return contacts.points, contacts.frames, contacts.friction, contacts.mask
+    return q, jax.tree.map(lambda field: np.asarray(field)[0], found.contacts)
 
 
 def _read(path: Path, row: int, robot: "Robot") -> tuple[np.ndarray, ContactSet]:

@@ -22,6 +22,13 @@ def check_cone(cone: Any) -> None:
         raise TypeError(f"cone: {what} (expected {hint})")
 
 
+def as_given(values: Any) -> Any:
+    """An argument as an array, JAX's or NumPy's; None stays None. NumPy's go to the compiled program as they are: to make
+    JAX's of them first takes longer than the answer for one state, and compiles for every number of rows.
+    """
+    return values if values is None or isinstance(values, jax.Array) else np.asarray(values)
+
+
 def relative(cone: CentroidalCone | ConeRays, coms: Any) -> tuple[CentroidalCone | ConeRays, Any]:
     """Cone and CoM positions with the contacts' centroid as their origin, where both are NumPy's; else as they are.
 

@@ -108,11 +108,7 @@ def _first(parts: Sequence[Float[np.ndarray, "_ d"]], rays: Float[np.ndarray, "r
 
 def _farthest(parts: Sequence[Float[np.ndarray, "_ d"]], normals: Float[np.ndarray, "m d"]) -> Int[np.ndarray, "m p"]:
     """Number of the vertex of each part that is farthest along each normal."""
-    return (
-        np.stack([np.argmax(normals @ part.T, axis=1) for part in parts], axis=1)
-        if parts
-        else np.zeros((len(normals), 0), int)
-    )
+    return np.stack([np.argmax(normals @ part.T, axis=1) for part in parts], axis=1)
 
 
 def _sums(parts: Sequence[Float[np.ndarray, "_ d"]], chosen: Int[np.ndarray, "n p"]) -> Float[np.ndarray, "n d"]:

@@ -57,11 +57,11 @@ class NpzStates(StateFile):
     """An open NPZ file of states."""
 
     def _opened(self) -> zipfile.ZipFile:
-        with _readable(self.path):
+        with readable(self.path):
             return zipfile.ZipFile(self.path)
 
     def _open(self) -> None:
-        with _readable(self.path):
+        with readable(self.path):
             members = {
                 name.removesuffix(".npy"): _header(self._file, name)
                 for name in self._file.namelist()
@@ -112,7 +112,7 @@ class NpzStates(StateFile):
         self._empty = {name: members[name] for name in self.contacts if not members[name].width}
 
     def __iter__(self) -> Iterator[StateBatch]:
-        with ExitStack() as stack, _readable(self.path):
+        with ExitStack() as stack, readable(self.path):
             streams = [stack.enter_context(closing(self._stream(m))) for m in self._members.values()]
             for pieces in zip(*streams, strict=True):
                 columns = dict(zip(self._members, pieces, strict=True))
@@ -254,15 +254,15 @@ def _read(file: IO[bytes], size: int) -> bytes:
 
 
 @contextmanager
-def _readable(path: Path) -> Iterator[None]:
-    """Turns what a damaged archive raises into InputError."""
+def readable(what: Path | str, kind: str = "NPZ") -> Iterator[None]:
+    """Turns what a damaged file of NumPy's raises into InputError."""
     try:
         yield
     except (InputError, MemoryError):
         raise
     except Exception as error:  # NumPy's and zipfile's parsers raise whatever their tools do: tokenize, struct, zlib, ast
         reason = error.strerror if isinstance(error, OSError) and error.strerror else error
-        raise InputError(f"{path}: cannot be read as NPZ: {str(reason) or type(error).__name__}") from error
+        raise InputError(f"{what}: cannot be read as {kind}: {str(reason) or type(error).__name__}") from error
 
 
 def _member(archive: zipfile.ZipFile, name: str) -> IO[bytes]:

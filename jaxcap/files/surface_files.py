@@ -3,13 +3,13 @@
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
-from zipfile import BadZipFile
 
 import numpy as np
 
 from jaxcap.contacts.surfaces import HeightField, Surface, box, height_field, rail, surface
 from jaxcap.errors import InputError
 from jaxcap.files.contact_files import load, numbers, shown
+from jaxcap.files.npz import readable
 
 
 class _Kind(NamedTuple):
@@ -100,15 +100,13 @@ def _heights(where: str, given: Any, folder: Path) -> np.ndarray:
     if not isinstance(given, str) or Path(given).suffix.lower() not in (".npy", ".npz"):
         raise InputError(f"{where}: heights = {shown(given)} (expected a list of rows, or the name of a file, .npy or .npz)")
     file = folder / given
-    try:
+    if not file.is_file():
+        raise InputError(f"{where}: heights: {file}: no such file")
+    with readable(f"{where}: heights: {file}", file.suffix[1:].upper()):
         held = np.load(file, allow_pickle=False)
         if isinstance(held, np.ndarray):
             return held
         with held:
+            if "heights" not in held:
+                raise InputError(f"{where}: {file} has no array 'heights'")
             return held["heights"]
-    except KeyError:
-        raise InputError(f"{where}: {file} has no array 'heights'") from None
-    except FileNotFoundError:
-        raise InputError(f"{where}: heights: {file}: no such file") from None
-    except (OSError, ValueError, EOFError, BadZipFile) as error:
-        raise InputError(f"{where}: heights: {file} cannot be read: {error}") from error

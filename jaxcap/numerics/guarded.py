@@ -49,29 +49,23 @@ def ratio(numerator: Float[Array, "..."], denominator: Float[Array, "..."], othe
     return jnp.where(safe, numerator / jnp.where(safe, denominator, 1), otherwise)
 
 
-@jax.jit
-def without_noise(value: Float[Array, "..."], noise: Float[Array, "..."]) -> Float[Array, "..."]:
-    """Zero, without a gradient, where the value is no larger than the noise."""
-    return jnp.where(jnp.abs(value) > noise, value, 0)
-
-
 @jax.custom_jvp
-def least(values: Float[Array, "k *n"]) -> Float[Array, "*n"]:
+def least_of(values: Float[Array, "k *n"]) -> Float[Array, "*n"]:
     """The smallest along the first axis; of several that are equal the first one's gradient, where `jnp.min` has the mean of
     theirs, which is that of no side of a kink."""
     return jnp.min(values, axis=0)
 
 
-@least.defjvp
-def _least_jvp(primals, tangents):
+@least_of.defjvp
+def _least_of_jvp(primals, tangents):
     (values,), (change,) = primals, tangents
     first = jnp.argmin(values, axis=0)[None]
     return jnp.min(values, axis=0), jnp.take_along_axis(change, first, axis=0)[0]
 
 
-def most(values: Float[Array, "k *n"]) -> Float[Array, "*n"]:
+def greatest_of(values: Float[Array, "k *n"]) -> Float[Array, "*n"]:
     """The largest, likewise."""
-    return -least(-values)
+    return -least_of(-values)
 
 
 def lesser(one: Float[Array, "*n"], other: Float[Array, "*n"]) -> Float[Array, "*n"]:

@@ -20,7 +20,7 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxcap.contacts.actuation import ActuatedRays
 from jaxcap.numerics import bounded_basis, bounded_simplex
 from jaxcap.numerics.bounded_basis import Basis, Program
-from jaxcap.numerics.guarded import ratio, snapped, tolerances, without_noise
+from jaxcap.numerics.guarded import ratio, snapped, tolerances
 from jaxcap.numerics.simplex import FREE, UNIT, Outcome, largest, mixture
 from jaxcap.one_state.actuated_rows import Rows
 from jaxcap.one_state.basis_line import Carrying, first_met, line_of, one_place
@@ -313,7 +313,7 @@ def _effort(polygon: ActuatedPolygon, hold: _End) -> Float[Array, "*n"]:
     """Share of the limits that holding still takes; infinite where no forces balance the weight, whatever the torques."""
     z = _free(polygon, polygon.holding(), hold, jnp.zeros_like(polygon.bound))
     noise = polygon.line.slack * polygon.line.weight * jnp.max(jnp.abs(bounded_basis.normal_of(hold.basis)), axis=0)
-    held = -without_noise(z, noise)
+    held = -snapped(z, noise)
     effort = jnp.where(held > 0, 1 / jnp.where(held > 0, held, 1), jnp.inf)
     endless = (hold.outcome == Outcome.UNBOUNDED) | (hold.basis.chosen[0] != FREE)
     return jnp.where(hold.outcome == Outcome.UNDECIDED, jnp.nan, jnp.where(endless, 0, effort))

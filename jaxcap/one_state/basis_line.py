@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxcap.numerics.guarded import snapped, tolerances, without_noise
+from jaxcap.numerics.guarded import snapped, tolerances
 from jaxcap.numerics.simplex import first_of
 from jaxcap.one_state.walk import Affine
 from jaxcap.one_state.wrench_line import WrenchLine
@@ -32,7 +32,7 @@ def line_of(normal: Float[Array, "m *n"], carrying: Carrying, line: WrenchLine) 
     beyond, slope = share * along(carrying.falling), share * along(carrying.per_alpha)
     slack = line.slack * jnp.max(jnp.abs(normal), axis=0)
     steepest = line.weight / line.length
-    return Affine(snapped(beyond + carrying.fall, slack * line.size_beyond(beyond)), without_noise(slope, slack * steepest))
+    return Affine(snapped(beyond + carrying.fall, slack * line.size_beyond(beyond)), snapped(slope, slack * steepest))
 
 
 def first_met(

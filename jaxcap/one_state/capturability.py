@@ -1,13 +1,12 @@
 """The entry: one state in, one answer out; verdict, case, margins, distance, time. Arrays carry their lanes last."""
 
 import jax
-import numpy as np
 from jaxtyping import Array, Num
 
 from jaxcap.contacts.actuation import Actuation, with_limits
 from jaxcap.contacts.cone import CentroidalCone, ConeRays
 from jaxcap.contacts.conventions import GRAVITY, ArrayLike, checked_gravity
-from jaxcap.contacts.scoring_input import check_cone, relative, rounded, unless_zero
+from jaxcap.contacts.scoring_input import as_given, check_cone, relative, rounded, unless_zero
 from jaxcap.one_state.decision import capturability_at
 from jaxcap.one_state.line import Cone, motion_of_lanes
 from jaxcap.one_state.result import Capturability
@@ -51,12 +50,9 @@ def capturability(
 
     Source: Section III, Algorithms 1 and 2, with the energy in place of time; C3.3, which the paper leaves open, by swings.
     """
-    # NumPy arrays go to the compiled program as they are: to make JAX's of them first takes longer than the answer.
     check_cone(cone)
     checked_gravity(gravity, finite=False)
-    array = lambda x: x if isinstance(x, jax.Array) else np.asarray(x)
-    position, velocity = array(com), array(com_velocity)
-    momentum = None if specific_angular_momentum is None else array(specific_angular_momentum)
+    position, velocity, momentum = map(as_given, (com, com_velocity, specific_angular_momentum))
     for name, value in (("com", position), ("com_velocity", velocity), ("specific_angular_momentum", momentum)):
         if value is not None and value.shape != (3,):
             raise TypeError(f"{name} has shape {value.shape} (expected (3,); `score` takes many states)")

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxcap.contacts.cone import CentroidalCone, EffortFaces
-from jaxcap.numerics.guarded import greater, least, lesser, most, ratio, snapped
+from jaxcap.numerics.guarded import greater, greatest_of, least_of, lesser, ratio, snapped
 from jaxcap.one_state.boundary import Boundary
 from jaxcap.one_state.polygon import Survey
 from jaxcap.one_state.walk import Affine, Next, moved, walk
@@ -79,10 +79,10 @@ class Polygon(NamedTuple):
         on_acceleration, on_alpha, bound = self.on_acceleration, self.on_alpha, self.bound
         force = ratio(self.beyond, on_acceleration)
         static, force, values = jax.lax.optimization_barrier((ratio(bound, on_alpha), force, self.values()))
-        behind = most(jnp.where(on_alpha < 0, static, -jnp.inf))
+        behind = greatest_of(jnp.where(on_alpha < 0, static, -jnp.inf))
         # The end ahead, by what makes it: a row that bounds the acceleration from above, or another.
         above, other = (on_alpha > 0) & (on_acceleration > 0), (on_alpha > 0) & (on_acceleration <= 0)
-        s_above, s_other = (least(jnp.where(rows, static, jnp.inf)) for rows in (above, other))
+        s_above, s_other = (least_of(jnp.where(rows, static, jnp.inf)) for rows in (above, other))
         ahead = lesser(s_above, s_other)
         lowest = jnp.max(jnp.where(on_acceleration < 0, values, -jnp.inf), axis=0)
         lowest_force = jnp.max(jnp.where(on_acceleration < 0, force, -jnp.inf), axis=0)
@@ -156,7 +156,7 @@ def _effort(faces: EffortFaces, line: WrenchLine) -> Float[Array, "*n"]:
     column = lambda values: jnp.asarray(values, dtype).reshape(-1, *[1] * line.fall.ndim)
     held = jnp.all(product(faces.held) <= column(faces.room) + line.slack * line.weight, axis=0)
     return jnp.where(
-        held, greater(most(product(faces.per_wrench) + column(faces.constant)), jnp.zeros_like(line.fall)), jnp.inf
+        held, greater(greatest_of(product(faces.per_wrench) + column(faces.constant)), jnp.zeros_like(line.fall)), jnp.inf
     )
 
 

@@ -17,7 +17,6 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Int8
 
 from jaxcap.batch.advance import advance, checked_times
-from jaxcap.batch.blocks import LANES
 from jaxcap.batch.score import score
 from jaxcap.contacts.actuation import Actuation
 from jaxcap.contacts.cone import ConeRays, cone_rays
@@ -229,10 +228,10 @@ def _latest(sets: _Sets, states: _States, horizon: float, there: np.ndarray) -> 
 def _touchdown(sets: _Sets, states: _States, delays: np.ndarray) -> _Touchdown:
     n, d = delays.shape
     alone = n * d == 1  # not side by side with copies of itself
-    rows, times = (0, delays[0, 0]) if alone else map(_to_a_block, (np.repeat(np.arange(n), d), delays.reshape(-1)))
+    rows, times = (0, delays[0, 0]) if alone else (np.repeat(np.arange(n), d), delays.reshape(-1))
     coms, velocities, momenta = jax.tree.map(lambda field: field[rows], states)
     found = advance(sets.during, coms, velocities, times, sets.gravity, specific_angular_momentum=momenta)
-    of_rows = lambda field: np.asarray(field)[None] if alone else np.asarray(field)[: n * d]
+    of_rows = lambda field: np.asarray(field)[None] if alone else np.asarray(field)
     place = lambda field: of_rows(field).reshape(n, d, *of_rows(field).shape[1:])
     progress = place(found.progress)
     lost = np.isin(progress, [Progress.TURNS, Progress.LEAVES]) & (delays > 0)
@@ -266,20 +265,12 @@ def _scored(sets: _Sets, touchdown: _Touchdown, without: bool) -> tuple[np.ndarr
 
 def _scored_pairs(sets: _Sets, touchdown: _Touchdown, which: np.ndarray, state: np.ndarray) -> tuple[np.ndarray, ...]:
     """which: the set of each pair. state: its row in the states at touchdown."""
-    p = len(which)
-    which, state = _to_a_block(which), _to_a_block(state)
     vectors = touchdown.coms, touchdown.com_velocities, touchdown.momenta
     coms, velocities, momenta = jax.tree.map(lambda field: field.reshape(-1, 3)[state], vectors)
     cones = jax.tree.map(lambda leaf: leaf[which], sets.cones)
     limits = None if sets.actuation is None else jax.tree.map(lambda leaf: leaf[state % sets.candidates], sets.actuation)
     found = score(cones, coms, velocities, sets.gravity, specific_angular_momentum=momenta, actuation=limits)
-    return tuple(np.asarray(field)[:p] for field in (found.margin, found.capturable, found.case, found.status))
-
-
-def _to_a_block(rows: np.ndarray) -> np.ndarray:
-    """The last again and again, to a size of a block: what JAX would cut and pad takes longer than the answer."""
-    size = max(LANES, 1 << max(len(rows) - 1, 0).bit_length())
-    return np.concatenate([rows, np.repeat(rows[-1:], size - len(rows))])
+    return tuple(np.asarray(field) for field in (found.margin, found.capturable, found.case, found.status))
 
 
 def _sets(

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Num
 
-from jaxcap.batch.blocks import RAYS_BLOCK, Block, block_of, over_blocks, over_chunks, to_host
+from jaxcap.batch.blocks import RAYS_BLOCK, Block, over_blocks, over_chunks
 from jaxcap.contacts.cone import CentroidalCone, ConeRays
 from jaxcap.contacts.contact_set import ContactSet
 from jaxcap.contacts.conventions import GRAVITY, ArrayLike, FloatArray
@@ -94,9 +94,7 @@ def _distances(one: Callable, name: str, region: Any, own: bool, points: Array, 
     if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves((region, rows))):
         answer = _compiled_block(one, Block((region, rows), None), pull)
     else:
-        region, rows = to_host((region, rows))
-        run = lambda start: _compiled_block(one, block_of((region, rows), n, start, RAYS_BLOCK), pull)
-        answer = over_blocks(run, n, RAYS_BLOCK)
+        answer = over_blocks(lambda block: _compiled_block(one, block, pull), (region, rows), n, RAYS_BLOCK)
     return answer.reshape(points.shape[:-1])
 
 
