@@ -3,12 +3,14 @@
 import io
 import subprocess
 import sys
+from itertools import pairwise
 
 import matplotlib
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 import xarray as xr
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_hex, to_rgb
 from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
@@ -417,6 +419,21 @@ def test_a_slice_has_names_units_and_tells_where_it_is():
     ax = plotting.kernel_slice(dataset, "margin", x="speed", y="com_x", com_y=0.5)
     assert [ax.get_xlabel(), ax.get_ylabel()] == ["CoM speed [m/s]", "CoM position x [m]"] and ax.get_aspect() == "auto"
     assert ax.get_xlim() == (0, 2) and ax.get_ylim() == (-1, 1)
+
+
+@pytest.mark.parametrize("width", [0.1, 0.2, 0.8])
+def test_a_slice_of_a_few_centimetres_has_numbers_that_stand_apart(width):
+    """By a figure's width at least, in a picture of the size that `jaxcap plot` makes."""
+    axis = lambda name, n: (name, np.linspace(-width / 2, width / 2, n), {"units": "m"})
+    dataset = field(X).assign_coords(com_x=axis("com_x", X.shape[0]), com_y=axis("com_y", X.shape[1]))
+    figure = Figure(figsize=(7.0, 5.0), layout="compressed")
+    ax = plotting.kernel_slice(dataset, "margin", ax=figure.subplots())
+    FigureCanvasAgg(figure).draw()
+    low, high = ax.get_xlim()
+    ticks = [tick for tick in ax.xaxis.get_major_ticks() if low <= tick.get_loc() <= high]
+    boxes = [tick.label1.get_window_extent() for tick in ticks]
+    digit = boxes[0].width / len(ticks[0].label1.get_text())
+    assert len(boxes) > 1 and all(one.x1 + digit < other.x0 for one, other in pairwise(boxes))
 
 
 @pytest.mark.parametrize("quantity", CODES)

@@ -32,6 +32,10 @@ EMPTY = "#e8e8e8"
 """Colour of the area where a field that is nowhere negative is zero."""
 ROUND_ANGLES = [1, 1.5, 3, 4.5, 6, 9, 10]
 """Ticks of angles are at multiples of these, and of ten times these."""
+ROUND_NUMBERS = [1, 2, 2.5, 5, 10]
+"""Ticks of other figures are at multiples of these and their powers of ten, as Matplotlib's own are."""
+TICKS = 6
+"""At most, beside each other: of a range of a few centimetres the numbers are as long as the way between Matplotlib's."""
 TO_SCALE = ("m", "m/s")
 """Where both axes are of one of these units, the picture is to scale."""
 HATCHES = {"undecided": "xx", "at rest": "\\\\"}
@@ -113,6 +117,8 @@ def kernel_slice(
         axis.set_label_text(label_of(array))
         if unit_of(array) == DEGREES:
             axis.set_major_locator(MaxNLocator(steps=ROUND_ANGLES))
+        elif axis is ax.xaxis:
+            axis.set_major_locator(MaxNLocator(TICKS, steps=ROUND_NUMBERS))
     to_scale = unit_of(plane[x]) == unit_of(plane[y]) in TO_SCALE
     ax.set(aspect="equal" if to_scale else "auto", title=place_of(plane))
     ax.set(xlim=np.sort(across)[[0, -1]], ylim=np.sort(along)[[0, -1]])
