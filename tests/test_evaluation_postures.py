@@ -74,8 +74,10 @@ def test_in_short_has_the_cells_of_the_long_table(file, tmp_path):
     "scenario, robot, told",
     [("two", "talos", "two feet"), ("two", "g1", "two feet, robot G1"), ("two_coplanar", "mine", "two coplanar feet, mine")],
 )
-def test_robots_are_told_apart(file, scenario, robot, told):
-    assert postures.title(file._replace(scenario=scenario, robot=robot)) == told
+def test_robots_are_told_apart(file, tmp_path, scenario, robot, told):
+    other = file._replace(scenario=scenario, robot=robot)
+    assert postures.title(other) == told
+    assert postures.order_in_words({"other": other}, tmp_path).startswith(f"- T{told[1:]}: ")
 
 
 def test_areas_in_short_count_held_postures(file, tmp_path):
