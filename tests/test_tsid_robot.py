@@ -155,7 +155,7 @@ def test_unknown_robots_are_named():
         load("atlas")
 
 
-@pytest.mark.parametrize("file", ["two_coplanar_g1", "three_strong_arms", "four_strong_arms"])
+@pytest.mark.parametrize("file", ["two_coplanar_g1", "two_g1", "three_strong_arms", "four_strong_arms"])
 def test_committed_rows_are_this_robots(file):
     """A file of another robot holds the postures that its configuration gives, and what they cost that robot's joints."""
     settings, _, rows = read(DATA / f"{file}.parquet")
