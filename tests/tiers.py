@@ -203,6 +203,7 @@ QUICK: dict[str, tuple[str, ...]] = {
     "test_tsid_limits.py": ("",),
     "test_tsid_simulator.py": ("test_without_a_push_the_robot_has_stopped", "test_options_are_checked"),
     "test_tsid_summary.py": ("",),
+    "test_tsid_touchdown.py": ("",),
     "test_tsid_wrench_cone.py": ("",),
     "test_velocity_area.py": (
         "test_the_area_over_flat_ground_is_that_of_the_feet[faces",

@@ -1,13 +1,13 @@
 """A hand that comes down on a wall while its robot falls: a plastic impact, then the same controllers on one contact more.
 
-The wall stands where the hand is, so that the contact fits the posture: the hand's rectangle is turned on its link, about its
-centre, until its normal is the wall's (a fist that touches with whatever side faces the wall). What an impact does to
+The wall stands where the hand is, so that the contact fits the posture: the hand's rectangle is turned on its link, about
+its centre, until its normal is the wall's (a fist that touches with whatever side faces the wall). What an impact does to
 velocities is the projection on the contacts' constraints in the metric of the mass matrix: the velocity nearest to the old
 one, by kinetic energy, among those that leave all contacts at rest. Impulses are not asked to lie in friction cones.
 
 An impact can leave joints beyond their viability bounds: they move towards a limit faster than they can brake. The
-controller would ask of them to brake at one exact rate, which together with a new contact makes most QPs infeasible. So until
-such a joint is viable again it may brake as hard as it likes and only must not get faster (`BEYOND`, `RelaxedController`).
+controller would ask of them to brake at one exact rate, which together with a new contact makes most QPs infeasible. So
+until such a joint is viable again it may brake as hard as it likes and only must not get faster (`RelaxedController`).
 """
 
 from __future__ import annotations
@@ -73,7 +73,10 @@ def joined(contacts: Sequence[Contact], new: Contact) -> tuple[Contact, ...]:
 
 
 def impact(robot: Robot, q: np.ndarray, v: np.ndarray, effectors: Sequence[str]) -> np.ndarray:
-    """The velocity (nv,) after a plastic impact at q (nq,) that brings the effectors to rest: v - M^-1 J' (J M^-1 J')^+ J v."""
+    """The velocity (nv,) after a plastic impact that brings the effectors to rest: v - M^-1 J' (J M^-1 J')^+ J v.
+
+    q: (nq,). v: (nv,) before. J may lose rank: a straight arm, or the same contact twice.
+    """
     data = robot.model.createData()
     mass = pin.crba(robot.model, data, q)
     mass = np.triu(mass) + np.triu(mass, 1).T
@@ -87,9 +90,9 @@ def impact(robot: Robot, q: np.ndarray, v: np.ndarray, effectors: Sequence[str])
 
 
 def touchdown(robot: Robot, sample: Sample, q: np.ndarray, v: np.ndarray, hand: str) -> Sample:
-    """The sample that begins where a hand of the robot comes down at q (nq,), v (nv,): where it is, as `facing` has turned it.
+    """The sample that begins where a hand comes down at q (nq,), v (nv,): in its place, as `facing` has turned it.
 
-    Its posture, to which controllers return, is that of the touchdown.
+    The posture to which controllers return is that of the touchdown.
     """
     new = place(robot, robot.model.createData(), q, [hand])[0]
     contacts = joined(sample.contacts, new)
