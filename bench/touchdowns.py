@@ -350,7 +350,7 @@ def reasons(units: list[list[Record]]) -> Iterator[str]:
     for name in ("arms then, box", "arms, state before", "arms, state after"):
         yield f"    - {name}: said saved {sum(margin(one, name) > 0 for one in missed)}"
     bent = [one["beyond"] for one in ones]
-    yield f"- joints beyond their viability bounds after an impact: {np.median(bent):.0f} (median), none {bent.count(0)} times"
+    yield f"- joints beyond their viability bounds after an impact: median {np.median(bent):.0f}, none {bent.count(0)} times"
 
 
 def report(found: dict[bool, list[list[Record]]], why: bool) -> Iterator[str]:
