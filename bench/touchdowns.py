@@ -18,9 +18,10 @@ them a margin above zero says "saved", and one that there is not (contacts are l
     arms, state after       and after it
 
 Printed for each time and limits: touchdowns on random walls, the four cells, the area under the ROC with a band of 95 % by
-bootstrap over falls; then how often the preferred wall saves the robot, and a random one. --why: those that were called
-saved and fell, run again without one limit at a time. Runs are kept in --folder as they come, so that the same command
-resumes; numbers are drawn by seeds of each sample, so that nothing depends on where it was interrupted.
+bootstrap over falls, and that area if robots that stopped with a joint PAST its limit are no stops ("within limits"); then
+how often the preferred wall saves the robot, and a random one. --why: those that were called saved and fell, run again
+without one limit at a time. Runs are kept in --folder as they come, so that the same command resumes; numbers are drawn by
+seeds of each sample, so that nothing depends on where it was interrupted.
 Extras sim and evaluation.
 """
 
@@ -57,6 +58,7 @@ RIDE = "standard"
 """The controller until then."""
 CONTROLLERS = ("brake", "fast", "standard")
 """After it, in the order in which they are tried; "straight" asks for the line that an impact has just bent."""
+DECELERATION = CONFIGURATIONS[RIDE].deceleration
 BOX = 10.0
 """[N m]"""
 RANDOM = 19
@@ -75,6 +77,8 @@ PREDICTIONS = (
 )
 CHOOSES = {True: "arms, posture at 0", False: "momentum"}
 """The prediction that prefers a wall, with torque limits and without."""
+PAST = 0.05
+"""How far past its limit a joint that a touchdown has left beyond its bounds may run [rad]."""
 PLANNED = "arms, posture then"
 """The prediction whose errors --why looks at."""
 WITHOUT = {
@@ -222,16 +226,18 @@ def scored(rays: jaxcap.ConeRays, at: Centre, limits: jaxcap.Actuation, box: flo
 
 
 def outcome(wall: Wall, limits: bool, without: dict[str, bool] | None = None) -> Record:
-    """The best one of CONTROLLERS after touchdown; reason, steps and controller are those of the last one that ran."""
+    """The best one of CONTROLLERS after touchdown; `past` is how far a joint that was relaxed ran past its limit [rad]."""
     best = []
     for controller in CONTROLLERS:
         configuration: Configuration = CONFIGURATIONS[controller]._replace(torque_limits=limits)._replace(**(without or {}))
-        run = TouchdownSimulator(wall.robot, configuration).run(wall.sample)
+        run = TouchdownSimulator(wall.robot, configuration).run(wall.sample, trace=True)
         best.append((run.outcome.name.lower(), controller, str(run.reason), int(run.steps)))
         if best[-1][0] == "stopped":
             break
-    label = min((one[0] for one in best), key=BEST_FIRST.index)
-    return {"outcome": label, "runs": best}
+    assert run.trace is not None
+    joints = run.trace.q[:, 7:]
+    past = float(np.maximum(joints - wall.robot.upper, wall.robot.lower - joints).max())
+    return {"outcome": min((one[0] for one in best), key=BEST_FIRST.index), "runs": best, "past": past}
 
 
 def unit(robot: Robot, sample: Sample, limits: bool, why: bool) -> list[Record]:
@@ -247,7 +253,7 @@ def unit(robot: Robot, sample: Sample, limits: bool, why: bool) -> list[Record]:
         outcomes = {str(i): outcome(moment.walls[i], limits) for i in sorted({number, best})}
         record = {"time": moment.time, "random": number, "best": best, "margins": margins, "outcomes": outcomes}
         record |= {"speed": float(np.linalg.norm(centre(robot, sample.q, sample.v).velocity)), "hand": wall.hand}
-        record |= {"beyond": int(np.count_nonzero(beyond(robot, wall.sample.q, wall.sample.v, 10.0, DEFAULT.dt)))}
+        record |= {"beyond": int(np.count_nonzero(beyond(robot, wall.sample.q, wall.sample.v, DECELERATION, DEFAULT.dt)))}
         if why and margins[PLANNED][number] > 0 and outcomes[str(number)]["outcome"] == "fallen":
             record["without"] = {name: outcome(wall, limits, less)["outcome"] for name, less in WITHOUT.items()}
         found.append(record)
@@ -262,7 +268,7 @@ def falls(samples: Samples, count: int) -> np.ndarray:
 
 def touchdowns(options: argparse.Namespace, journal: Journal) -> dict[bool, list[list[Record]]]:
     """Of each fall, with and without torque limits; what the journal does not hold is run. Raises ValueError."""
-    settings = {"data": hashlib.sha256(DATA.read_bytes()).hexdigest(), "why": options.why, "version": 2}
+    settings = {"data": hashlib.sha256(DATA.read_bytes()).hexdigest(), "why": options.why, "version": 3}
     records = list(journal.records)
     if not records:
         journal.append(settings)
@@ -290,16 +296,21 @@ class Judged(NamedTuple):
     saved: np.ndarray
     margins: dict[str, np.ndarray]
     undecided: int
+    past: np.ndarray
+    """Whether they were saved by running a joint past its limit."""
 
 
 def judged(units: list[list[Record]], at: float | None) -> Judged:
     """At one time, or at all."""
     chosen = [(fall, one) for fall, own in enumerate(units) for one in own if at in (None, one["time"])]
     ends = np.array([one["outcomes"][str(one["random"])]["outcome"] for _, one in chosen])
+    past = np.array([one["outcomes"][str(one["random"])]["past"] > PAST for _, one in chosen])
     known = ends != "undecided"
     margin = lambda name: np.array([one["margins"][name][one["random"]] for _, one in chosen])[known]
     fall = np.array([fall for fall, _ in chosen])[known]
-    return Judged(fall, ends[known] == "stopped", {name: margin(name) for name in PREDICTIONS}, int((~known).sum()))
+    saved = ends[known] == "stopped"
+    margins = {name: margin(name) for name in PREDICTIONS}
+    return Judged(fall, saved, margins, int((~known).sum()), saved & past[known])
 
 
 def with_band(margin: np.ndarray, fell: np.ndarray, fall: np.ndarray) -> str:
@@ -316,10 +327,13 @@ def with_band(margin: np.ndarray, fell: np.ndarray, fall: np.ndarray) -> str:
 
 def cells(of: Judged) -> Iterator[str]:
     """Lines of a table."""
+    yield "| prediction | said saved: saved | fallen | said fallen: saved | fallen | area under the ROC | within limits |"
+    yield "|---|---|---|---|---|---|---|"
     for name, margin in of.margins.items():
         said = margin > 0
         counts = [int((one & other).sum()) for one in (said, ~said) for other in (of.saved, ~of.saved)]
-        yield f"| {name} | " + " | ".join(map(str, counts)) + f" | {with_band(margin, ~of.saved, of.fall)} |"
+        bands = [with_band(margin, fell, of.fall) for fell in (~of.saved, ~of.saved | of.past)]
+        yield f"| {name} | " + " | ".join([*map(str, counts), *bands]) + " |"
 
 
 def choices(units: list[list[Record]], at: float | None, limits: bool) -> Iterator[str]:
@@ -360,9 +374,8 @@ def report(found: dict[bool, list[list[Record]]], why: bool) -> Iterator[str]:
             of = judged(units, at)
             when = "all times" if at is None else f"T = {at} s"
             yield f"\n### {'with' if limits else 'without'} torque limits, {when}\n"
-            yield f"{len(of.saved)} touchdowns on random walls, {int(of.saved.sum())} saved; {of.undecided} more undecided\n"
-            yield "| prediction | said saved: saved | fallen | said fallen: saved | fallen | area under the ROC |"
-            yield "|---|---|---|---|---|---|"
+            yield f"{len(of.saved)} touchdowns on random walls, {int(of.saved.sum())} saved; {of.undecided} more undecided;"
+            yield f"{int(of.past.sum())} of the saved by running a joint past its limit\n"
             yield from cells(of)
             yield "\n| wall | touchdowns | preferred one saves | random one saves |\n|---|---|---|---|"
             yield from choices(units, at, limits)
