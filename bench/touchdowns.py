@@ -1,6 +1,6 @@
 """Are those saved of whom `next_contacts` says so? Hands of falling robots come down on walls in the simulator.
 
-    python -m bench.touchdowns [--samples 300] [--folder DIR] [--why]
+    python -m bench.touchdowns [--samples 300] [--torques limited] [--folder DIR] [--why]
 
 The first falls of `two.parquet` (best of four) whose posture can be held, each with and without torque limits. The robot
 falls under "standard"; at 0.1, 0.2 and 0.4 s, if it has not fallen by then, a hand comes down: on one of eight walls that
@@ -77,6 +77,7 @@ PREDICTIONS = (
 )
 CHOOSES = {True: "arms, posture at 0", False: "momentum"}
 """The prediction that prefers a wall, with torque limits and without."""
+TORQUES = {"limited": (True,), "unlimited": (False,), "both": (True, False)}
 PAST = 0.05
 """How far past its limit a joint that a touchdown has left beyond its bounds may run [rad]."""
 PLANNED = "arms, posture then"
@@ -226,7 +227,7 @@ def scored(rays: jaxcap.ConeRays, at: Centre, limits: jaxcap.Actuation, box: flo
 
 
 def outcome(wall: Wall, limits: bool, without: dict[str, bool] | None = None) -> Record:
-    """The best one of CONTROLLERS after touchdown; `past` is how far a joint that was relaxed ran past its limit [rad]."""
+    """The best one of CONTROLLERS after touchdown; `past`: how far a joint ran past its limit before a stop [rad]."""
     best = []
     for controller in CONTROLLERS:
         configuration: Configuration = CONFIGURATIONS[controller]._replace(torque_limits=limits)._replace(**(without or {}))
@@ -234,9 +235,10 @@ def outcome(wall: Wall, limits: bool, without: dict[str, bool] | None = None) ->
         best.append((run.outcome.name.lower(), controller, str(run.reason), int(run.steps)))
         if best[-1][0] == "stopped":
             break
-    assert run.trace is not None
-    joints = run.trace.q[:, 7:]
-    past = float(np.maximum(joints - wall.robot.upper, wall.robot.lower - joints).max())
+    past = 0.0
+    if best[-1][0] == "stopped" and run.trace is not None:
+        joints = run.trace.q[:, 7:]
+        past = float(np.maximum(joints - wall.robot.upper, wall.robot.lower - joints).max())
     return {"outcome": min((one[0] for one in best), key=BEST_FIRST.index), "runs": best, "past": past}
 
 
@@ -267,8 +269,8 @@ def falls(samples: Samples, count: int) -> np.ndarray:
 
 
 def touchdowns(options: argparse.Namespace, journal: Journal) -> dict[bool, list[list[Record]]]:
-    """Of each fall, with and without torque limits; what the journal does not hold is run. Raises ValueError."""
-    settings = {"data": hashlib.sha256(DATA.read_bytes()).hexdigest(), "why": options.why, "version": 3}
+    """Of each fall, with or without torque limits; what the journal does not hold is run. Raises ValueError."""
+    settings = {"data": hashlib.sha256(DATA.read_bytes()).hexdigest(), "why": options.why, "version": 4}
     records = list(journal.records)
     if not records:
         journal.append(settings)
@@ -278,14 +280,14 @@ def touchdowns(options: argparse.Namespace, journal: Journal) -> dict[bool, list
     samples = read(DATA)
     robot, rows, start = load(samples.robot), falls(samples, options.samples), time.monotonic()
     for place, row in enumerate(rows.tolist()):
-        for limits in (True, False):
+        for limits in TORQUES[options.torques]:
             if (row, limits) not in kept:
                 found = unit(robot, sample_of(samples, row, robot), limits, options.why)
                 journal.append([row, limits, found])
                 kept[row, limits] = found
         if place % 10 == 9:
             print(f"# {place + 1} falls, {time.monotonic() - start:.0f} s", flush=True)
-    return {limits: [kept[row, limits] for row in rows.tolist()] for limits in (True, False)}
+    return {limits: [kept[row, limits] for row in rows.tolist()] for limits in TORQUES[options.torques]}
 
 
 class Judged(NamedTuple):
@@ -391,6 +393,7 @@ def main(arguments: list[str] | None = None) -> None:
     )
     parser.add_argument("--samples", type=int, default=300, metavar="N", help="falls (default: 300)")
     parser.add_argument("--folder", type=Path, metavar="DIR", help="where runs are kept (default: a temporary folder)")
+    parser.add_argument("--torques", choices=list(TORQUES), default="both", help="(default: both)")
     parser.add_argument("--why", action="store_true", help="run wrong predictions again without limits")
     options = parser.parse_args(arguments)
     if options.samples < 1:
