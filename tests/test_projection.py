@@ -9,6 +9,7 @@ from scipy.optimize import linprog, nnls
 from states import contact_set
 
 import jaxcap
+from bench.fuzz_kinds import draw
 from bench.projection_kinds import KINDS, sample
 from jaxcap.contacts import cone_hull, lines, projection, rationals
 from jaxcap.contacts.friction import wrench_rays
@@ -325,3 +326,10 @@ def test_fists_around_a_rail_given_in_single_precision():
     for wrench in np.random.default_rng(0).normal(size=(5, 6)):
         if (faces @ wrench).max(initial=-1) < 0:
             assert rationals.distance(rays, wrench) < 1e-6
+
+
+def test_two_soles_of_a_slope_whose_shortest_combination_has_weights_of_rounding():
+    """Two weights of 1e-16 beside four of a quarter: those rays take no part, and say nothing of where a plane cuts all."""
+    drawn = draw(2611, 397, "slope", 64)
+    contacts = contact_set(drawn.points, drawn.frames, drawn.friction)
+    assert_same_cone(contacts, jaxcap.centroidal_cone(contacts, drawn.sides), drawn.sides, functionals=4)
