@@ -115,6 +115,7 @@ QUICK: dict[str, tuple[str, ...]] = {
     "test_evaluation_roc.py": ("",),
     "test_export.py": ("test_what_cannot_be_exported",),
     "test_gradients.py": ("test_gradient_of_the_margin_is_never_nan[float64",),
+    "test_gradients_flat_floors.py": (),
     "test_inputs.py": (
         "test_gravity_as_a_number",
         "test_contacts_in_place_of_a_cone",
