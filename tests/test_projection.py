@@ -81,7 +81,9 @@ def assert_same_cone(contacts, cone, sides, functionals=12):
         assert nnls(rays.T, farthest)[1] < 1e-7
 
 
-@pytest.mark.parametrize("name", NAMED)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.slow) if name == "sixteen sides" else name for name in NAMED]
+)
 def test_faces_of_named_cones(name):
     contacts, sides, rank, proper = NAMED[name]
     cone = jaxcap.centroidal_cone(contacts, sides)
@@ -100,6 +102,7 @@ def test_faces_of_random_contacts(count):
         assert_same_cone(contacts, jaxcap.centroidal_cone(contacts, sides), sides)
 
 
+@pytest.mark.slow
 @settings(max_examples=60, deadline=None, derandomize=True)
 @given(
     st.integers(0, 2**32 - 1),
