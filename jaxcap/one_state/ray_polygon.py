@@ -28,6 +28,10 @@ AHEAD = 1e-3
 """How far a line without an end is followed to ask for its basis, relative to the scale of alpha."""
 
 
+NEARER = 0.1
+"""Where derivatives are those of moved contacts, they are moved by this times as much as to choose a basis."""
+
+
 class Bases(NamedTuple):
     """What a survey has found out on the way."""
 
@@ -164,7 +168,7 @@ class RayPolygon(NamedTuple):
         """The same with contacts that are moved a little, in these lanes; see `untied`."""
         if self.contact is None:
             return self
-        moved = untied.jiggled(self.rays, self.contact)
+        moved = untied.jiggled(self.rays, self.contact, NEARER)
         return self._replace(rays=jnp.where(where, moved, self.rays))
 
     def at_start(self) -> Program:
@@ -410,13 +414,14 @@ def _boundary_jvp(rising, most, primals, tangents):
 def _untied(polygon: RayPolygon, found: Boundary, indices: Int[Array, "k 6 *n"]) -> Untied:
     """The bases that derivatives follow, of the pieces and, as the last, of the polygon's right end."""
     polygon = jax.lax.stop_gradient(polygon)
+    assert polygon.contact is not None, "asked only where it is known"
     left, right, intercept, slope = found.pieces
     end = jnp.where(jnp.isinf(right), jnp.where(jnp.isfinite(found.end), found.end, left + AHEAD * polygon.size), right)
     middle, ends = (left + end) / 2, found.ending == End.POLYGON
     bound = tolerances(middle.dtype).same_alpha
     start, wall = polygon.at_start(), _wall(polygon)
     of_start = start._replace(rays=wall.rays.at[:, -2:].set(0))
-    moved = polygon.apart(jnp.ones(polygon.fall.shape, bool)).rays
+    moved = jnp.broadcast_to(untied.jiggled(polygon.rays, polygon.contact), of_start.rays[:, :-2].shape)
 
     def one(tied: Tied) -> Untied:
         found = lambda: untied.untied(tied, jnp.concatenate([moved, tied.program.rays[:, -2:]], axis=1))

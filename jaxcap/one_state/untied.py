@@ -42,11 +42,14 @@ class Untied(NamedTuple):
     """It is a basis of the moved contacts only: of the others two of its columns are one, and what moves they do not say."""
 
 
-def jiggled(rays: Float[Array, "6 r *#n"], contact: Int[Array, "r *#n"]) -> Float[Array, "6 r *#n"]:
-    """The rays of contacts that are moved a little, each in a direction of its own; torques over the size of the stance."""
+def jiggled(rays: Float[Array, "6 r *#n"], contact: Int[Array, "r *#n"], less: float = 1.0) -> Float[Array, "6 r *#n"]:
+    """The rays of contacts that are moved a little, each in a direction of its own; torques over the size of the stance.
+
+    less: a factor of how far: to choose a basis, pivots have to be seen; to differentiate it, the nearer the better.
+    """
     turns = jnp.array(TURNS, rays.dtype).reshape(3, *[1] * contact.ndim)
     ways = jnp.sin(turns * (1 + contact.astype(rays.dtype)))
-    far = tolerances(rays.dtype).slack ** 0.5
+    far = less * tolerances(rays.dtype).slack ** 0.5
     return jnp.concatenate([rays[:3], rays[3:] + far * jnp.cross(ways, rays[:3], axis=0)])
 
 
