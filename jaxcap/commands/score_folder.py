@@ -121,7 +121,7 @@ def _scored(place: Place, work: Scoring, todo: list[Unit], rows: int, records: d
     failed = []
     done = rows - sum(unit.what.rows for unit in todo)
     with tqdm(total=rows, initial=done, unit=" states", unit_scale=True, disable=None) as bar:
-        for unit, record, error in over_units(place, work, todo):
+        for unit, record, error, _ in over_units(place, work, todo):
             bar.update(unit.what.rows)
             if error:
                 failed.append(unit)
