@@ -11,6 +11,7 @@ import pytest
 from state_files import fake_score, states, vectors, write_contacts, write_states
 
 import jaxcap
+import jaxcap.files.folders
 from jaxcap.commands.cli import main
 
 FILES = ("a.parquet", "b.parquet", "deep/c.parquet", "deep/d.parquet")
@@ -141,6 +142,59 @@ def test_strange_files_are_listed_before_anything_runs(folder, capsys):
     assert not (folder / "out").exists()
 
 
+def bits(table: pa.Table) -> dict[str, bytes]:
+    """The numbers of each column, NaN too."""
+    flat = {name: table[name].combine_chunks() for name in table.column_names}
+    flat = {name: column.flatten() if pa.types.is_fixed_size_list(column.type) else column for name, column in flat.items()}
+    return {name: column.to_numpy(zero_copy_only=False).tobytes() for name, column in flat.items()}
+
+
+@pytest.fixture
+def large(tmp_path, monkeypatch):
+    """A file of seven row groups, of which two at most make a part."""
+    coms, velocities = states(70)
+    table = pa.table({"com": vectors(coms), "com_velocity": vectors(velocities), "frame": range(70)})
+    pq.write_table(table, tmp_path / "large.parquet", row_group_size=10)
+    write_contacts(tmp_path / "feet.yaml")
+    monkeypatch.setattr(jaxcap.files.folders, "CUT_ROWS", 25)
+    return tmp_path
+
+
+def test_one_file_is_scored_by_row_groups(fake, large, capsys):
+    given = str(large / "large.parquet")
+    assert run(large, "--batch-size", "16", output="alone.parquet", given=given) == 0
+    alone = pq.read_table(large / "alone.parquet")
+    for number in (2, 0, 1):
+        assert run(large, "--batch-size", "16", "--shard", f"{number}/3", given=given) == 0
+    assert "out: 4 of 4 files" in capsys.readouterr().out
+    parts = sorted((large / "out").glob("*.parquet"))
+    assert [file.name for file in parts] == [f"part-0000{number}.parquet" for number in range(4)]
+    assert [pq.read_metadata(file).num_rows for file in parts] == [20, 20, 20, 10]
+    assert bits(pa.concat_tables(map(pq.read_table, parts))) == bits(alone)
+    assert json.loads((large / "out" / "_SUMMARY.json").read_text())["states"] == 70
+    before = tree(large / "out")
+    parts[1].unlink()
+    assert run(large, "--batch-size", "16", given=given) == 0
+    assert "3 files were there" in capsys.readouterr().out and tree(large / "out") == before
+
+
+def test_a_part_is_whole_row_groups(fake, large, monkeypatch):
+    given = str(large / "large.parquet")
+    monkeypatch.setattr(jaxcap.files.folders, "CUT_ROWS", 5)
+    assert run(large, given=given) == 0
+    assert [pq.read_metadata(large / "out" / f"part-0000{number}.parquet").num_rows for number in range(7)] == [10] * 7
+    write_states(large / "none.parquet", 0)
+    assert run(large, output="empty", given=str(large / "none.parquet")) == 0
+    assert pq.read_metadata(large / "empty" / "part-00000.parquet").num_rows == 0
+
+
+def test_another_large_file_is_refused(fake, large, capsys):
+    assert run(large, given=str(large / "large.parquet")) == 0
+    write_states(large / "large.parquet", 30)
+    assert run(large, given=str(large / "large.parquet")) == 2
+    assert "files were made from other states, part-00000.parquet for one" in capsys.readouterr().err
+
+
 def test_a_glob_leaves_files_out(fake, folder):
     assert run(folder, given=str(folder / "in" / "**" / "[ac].parquet")) == 0
     assert {"a.parquet", "deep/c.parquet"} == {name for name in tree(folder / "out") if name.endswith("parquet")}
@@ -177,4 +231,4 @@ def test_places_that_cannot_be_used(folder, capsys):
 
 def test_one_file_runs_here(folder, capsys):
     assert run(folder, "--shard", "0/2", output="a.parquet", given=str(folder / "in" / "a.parquet")) == 2
-    assert "--shard 0/2 (expected with a folder" in capsys.readouterr().err
+    assert "--shard 0/2 (expected with many Parquet files as STATES, or one and a folder as OUT)" in capsys.readouterr().err

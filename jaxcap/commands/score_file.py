@@ -57,6 +57,7 @@ def score_file(
     known: Counted,
     *,
     named: Path | None = None,
+    row_groups: range | None = None,
     force: bool,
     progress: bool = True,
     say: Callable[[str], None],
@@ -69,6 +70,7 @@ def score_file(
         how: The settings.
         known: What of the robot counts.
         named: What the user calls the file of states, if it is another.
+        row_groups: Those of a Parquet file that are scored; None: all.
         force: Replace `output` if it is there.
         progress: Show a bar, if stderr is a terminal.
         say: Takes what there is to say before anything is computed.
@@ -78,7 +80,7 @@ def score_file(
     """
     named = named or states
     with (
-        read_states(states, rows := known.rows(how.batch_size), np.float64, known.mass) as source,
+        read_states(states, rows := known.rows(how.batch_size), np.float64, known.mass, row_groups) as source,
         compilation_cache(how.cache, how.no_cache),
     ):
         if known.words:

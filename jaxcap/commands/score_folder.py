@@ -18,16 +18,21 @@ from jaxcap.engine import Ledger, Place, Unit, open_ledger, over_units, shard_of
 from jaxcap.engine.ledger import hash_of
 from jaxcap.errors import InputError
 from jaxcap.files.columns import described_contacts
-from jaxcap.files.folders import Dataset, Part, dataset, is_glob
+from jaxcap.files.folders import SUFFIX, Cut, Dataset, Part, cut, dataset, is_glob
 from jaxcap.version import __version__
 
 NOTED = 20
 """Lines of notes, and of errors, that are printed at most."""
 
 
-def is_many(states: Path) -> bool:
-    """Whether states are a folder or a glob. A folder may be named like a Parquet file, as some writers do."""
-    return (states.is_dir() and states.suffix.lower() not in (".npz", ".csv")) or is_glob(states)
+def is_many(states: Path, output: Path) -> bool:
+    """Whether states are a folder or a glob, or one Parquet file that is scored into a folder.
+
+    A folder may be named like a Parquet file, as some writers do.
+    """
+    if states.is_dir():
+        return states.suffix.lower() not in (".npz", ".csv")
+    return is_glob(states) or (states.suffix.lower() == SUFFIX and (output.is_dir() or not output.suffix))
 
 
 @dataclass(frozen=True)
@@ -40,13 +45,13 @@ class Scoring:
     how: Settings
     known: Counted
 
-    def __call__(self, part: Part) -> dict[str, Any]:
-        """Scores the file, and returns the record of it."""
+    def __call__(self, part: Part | Cut) -> dict[str, Any]:
+        """Scores the file, or row groups of it, and returns the record of it."""
         target, said = self.ledger.folder / part.name, list[str]()
         target.parent.mkdir(parents=True, exist_ok=True)
         with jax.enable_x64(self.how.dtype == "float64"):
-            options: dict[str, Any] = {"force": True, "progress": False, "say": said.append}
-            run = score_file(self.folder / part.name, target, self.how, self.known, **options)
+            options: dict[str, Any] = {"force": True, "progress": False, "say": said.append, "row_groups": part.row_groups}
+            run = score_file(self.folder / part.file, target, self.how, self.known, **options)
         record = {"input": part._asdict(), "counts": run.summary.counts._asdict(), "notes": [*said, *run.notes()]}
         self.ledger.write(part.name, record)
         return record
@@ -56,7 +61,7 @@ def score_folder(states: Path, output: Path, how: Settings, known: Counted, wher
     """Scores a dataset, and prints a summary.
 
     Args:
-        states: Folder or glob of Parquet files.
+        states: Folder or glob of Parquet files, or one, which is read by row groups.
         output: Folder for as many.
         how: The settings.
         known: What of the robot counts.
@@ -70,8 +75,8 @@ def score_folder(states: Path, output: Path, how: Settings, known: Counted, wher
     shard = shard_of(where.shard)
     if force and shard.of > 1:
         raise InputError(f"--shard {shard} (expected without --force: one part would undo what the others have done)")
-    files = dataset(states, known.mass)
-    if output.resolve().is_relative_to(files.folder.resolve()):
+    files = cut(states, known.mass) if states.is_file() else dataset(states, known.mass)
+    if not states.is_file() and output.resolve().is_relative_to(files.folder.resolve()):
         raise InputError(f"{output}: lies in {files.folder}, which is read (expected another folder)")
     with place_of(where) as place:
         settings = _settings(how, known, place)

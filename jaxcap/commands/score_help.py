@@ -114,6 +114,11 @@ MANY FILES
   the SHA-256 of the settings, appears when all are. Other settings, versions
   or inputs than before are refused; --force does all again. A file that fails
   is told by number and name at the end, and the others are done.
+  One large Parquet file is scored in the same way if OUT is a folder, or a
+  name without an extension: part-00000.parquet and so on, which one after the
+  other hold what one file would (where rows have contacts of their own, to the
+  last digit). A part is whole row groups, together up to 524,288 rows; a file
+  of one row group is one part.
 WHERE
 {where}
 COMPILING

@@ -3,11 +3,13 @@
 import base64
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
+from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
+from numpy.typing import DTypeLike
 
 from jaxcap.files.arrow_columns import arrow_field, to_arrow
 from jaxcap.files.arrow_states import ArrowStates, readable
@@ -22,9 +24,15 @@ ROW_GROUP = 1 << 16
 
 
 class ParquetStates(ArrowStates):
-    """An open Parquet file of states."""
+    """An open Parquet file of states; or some of its row groups, as if they were all."""
 
     format = "Parquet"
+
+    def __init__(
+        self, path: Path, batch_size: int, dtype: DTypeLike, mass: float | None = None, row_groups: range | None = None
+    ):
+        self._row_groups = row_groups
+        super().__init__(path, batch_size, dtype, mass)
 
     def _opened(self) -> pq.ParquetFile:
         with readable(self.path, self.format):
@@ -32,10 +40,14 @@ class ParquetStates(ArrowStates):
             return pq.ParquetFile(self.path, pre_buffer=False, buffer_size=READ_AHEAD, page_checksum_verification=True)
 
     def _header(self) -> tuple[pa.Schema, int]:
-        return self._file.schema_arrow, self._file.metadata.num_rows
+        rows = self._file.metadata.num_rows
+        if self._row_groups is not None:
+            rows = sum(self._file.metadata.row_group(number).num_rows for number in self._row_groups)
+        return self._file.schema_arrow, rows
 
     def _batches(self) -> Iterable[pa.RecordBatch]:
-        return self._file.iter_batches(self.batch_size)
+        groups = None if self._row_groups is None else list(self._row_groups)
+        return self._file.iter_batches(self.batch_size, row_groups=groups)
 
 
 class ParquetWriter:
