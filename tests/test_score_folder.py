@@ -115,6 +115,24 @@ def test_a_file_that_fails_leaves_the_others(fake, folder, capsys):
     assert not (folder / "out" / "_SUMMARY.json").exists()
 
 
+def test_a_full_disk_leaves_what_is_done(fake, folder, capsys):
+    """One file does not fit: it is named, the others are done; with more room the same command does it."""
+    resource = pytest.importorskip("resource")
+    write_states(folder / "in" / "b.parquet", 5000)
+    assert run(folder, output="whole") == 0
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (50_000, before[1]))
+    try:
+        assert run(folder) == 2
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert "out/b.parquet: cannot be written: File too large" in capsys.readouterr().err
+    assert sorted(name for name in tree(folder / "out") if name.endswith("parquet")) == [n for n in FILES if n[0] != "b"]
+    assert not list((folder / "out").rglob("*.tmp"))
+    assert run(folder) == 0
+    assert "3 files were there" in capsys.readouterr().out and tree(folder / "out") == tree(folder / "whole")
+
+
 def test_other_settings_and_other_inputs_are_refused(fake, folder, capsys):
     assert run(folder) == 0
     before = tree(folder / "out")
