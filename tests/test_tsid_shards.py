@@ -5,6 +5,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pyarrow.parquet as pq
 import pytest
 
 from bench.dask_cluster import DaskCluster, kill, until
@@ -115,7 +116,7 @@ def command(path, *more) -> subprocess.Popen:
 
 
 def test_on_a_cluster_a_killed_worker_changes_no_byte(tmp_path, monkeypatch):
-    """Nor does the scheduler, when the command is given again. A sample that kills its workers is told as one."""
+    """Nor does the scheduler, when the command is given again."""
     pytest.importorskip("distributed")
     monkeypatch.setenv("OMP_NUM_THREADS", "1")
     assert campaign.main(arguments(tmp_path / "one.parquet", "--set", "delay=0.2")) == 0
@@ -137,6 +138,19 @@ def test_on_a_cluster_a_killed_worker_changes_no_byte(tmp_path, monkeypatch):
         told = again.communicate(timeout=100)[1]
         assert again.returncode == 0, told
     assert path.read_bytes() == (tmp_path / "one.parquet").read_bytes() and not journal.exists()
+
+
+def test_a_cluster_of_this_machine_and_a_sample_that_kills_its_workers(tmp_path, whole):
+    pytest.importorskip("distributed")
+    path = tmp_path / "local.parquet"
+    run = command(path, "--dask", "local", "--jobs", "2", "--set", "dies_at=2")
+    told = run.communicate(timeout=200)[1]
+    assert run.returncode == 0, told
+    for row, good in zip(pq.read_table(path).to_pylist(), pq.read_table(whole).to_pylist(), strict=True):
+        if row["index"] == 2:
+            assert row["error"] == "its process died on 4 workers" and row["outcome"] is None
+        else:
+            assert row == good
 
 
 def test_workers_with_more_threads_are_refused(tmp_path, monkeypatch):

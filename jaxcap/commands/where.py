@@ -12,7 +12,8 @@ WHERE = """  All in this process, unless told otherwise:
     --jobs N        N processes of this machine, which share its cores
     --dask ADDRESS  the workers of a Dask scheduler, tcp://HOST:PORT: on any
                     machines that see the same files, each with --nthreads 1.
-                    local: a cluster of N workers on this machine
+                    local: a cluster of N workers on this machine, which ends
+                    with the command; --jobs alone does without Dask
     --shard I/N     every Nth part from the Ith, counted from 0: N commands in
                     any queue, in any order, make the whole. With a Slurm
                     array: --shard $SLURM_ARRAY_TASK_ID/64
