@@ -61,6 +61,9 @@ def test_every_file_is_scored_as_if_it_were_alone(fake, folder, capsys):
     scores = pq.read_table(folder / "out")  # as any reader of datasets does
     assert scores.num_rows == summary["states"] == sum(summary["cases"].values())
     assert summary["capturable"] == int(np.sum(scores["capturable"].to_numpy()))
+    margin = np.sort(scores["margin"].to_numpy())
+    middle = margin[int(np.ceil(0.5 * np.isfinite(margin).sum())) - 1]
+    assert summary["margin_quantiles"]["50%"] == pytest.approx(middle, rel=8e-3)
 
 
 @pytest.mark.parametrize("order", [(0, 1, 2), (2, 0, 1)])

@@ -12,7 +12,7 @@ from tqdm import tqdm
 
 from jaxcap.commands.robot_limits import Counted
 from jaxcap.commands.score_file import Settings, score_file
-from jaxcap.commands.summary import Counts, together
+from jaxcap.commands.summary import Counts, Quantiles, together
 from jaxcap.commands.where import Where, place_of
 from jaxcap.engine import Ledger, Place, Unit, open_ledger, over_units, shard_of
 from jaxcap.engine.ledger import hash_of
@@ -21,6 +21,8 @@ from jaxcap.files.columns import described_contacts
 from jaxcap.files.folders import SUFFIX, Cut, Dataset, Part, cut, dataset, is_glob
 from jaxcap.version import __version__
 
+MARGIN_BITS = 7
+"""Of the margins in a record: 64 values for each power of two, a few kilobytes a file."""
 NOTED = 20
 """Lines of notes, and of errors, that are printed at most."""
 
@@ -52,7 +54,8 @@ class Scoring:
         with jax.enable_x64(self.how.dtype == "float64"):
             options: dict[str, Any] = {"force": True, "progress": False, "say": said.append, "row_groups": part.row_groups}
             run = score_file(self.folder / part.file, target, self.how, self.known, **options)
-        record = {"input": part._asdict(), "counts": run.summary.counts._asdict(), "notes": [*said, *run.notes()]}
+        counts, margin = run.summary.counts._asdict(), run.summary.margin.histogram(MARGIN_BITS)
+        record = {"input": part._asdict(), "counts": counts, "margin": margin, "notes": [*said, *run.notes()]}
         self.ledger.write(part.name, record)
         return record
 
@@ -148,10 +151,12 @@ def _tell(
     if len(notes) > NOTED:
         print(f"note: {len(notes) - NOTED} notes more, in the files' metadata", file=sys.stderr)
     counts = together(Counts(**records[name]["counts"]) for name in names)
-    print(counts.table())
+    margin = Quantiles.of((records[name]["margin"] for name in names), MARGIN_BITS)
+    print(f"{counts.table()}\n\n{margin.table(' (to within 0.8 %)')}")
     missing = len(files.parts) - len(names)
     rest = f", {missing} to come" if missing else ""
     print(f"\n{ledger.folder}: {len(names)} of {len(files.parts)} files{rest}{f' ({shard})' if shard else ''}")
     if not missing:
         summary = {"written_by": f"jaxcap {__version__}", "settings_sha256": hash_of(settings), "settings": settings}
-        ledger.summarise({**summary, "files": len(names), **counts._asdict(), "notes": len(notes)})
+        found = {"files": len(names), **counts._asdict(), "margin_quantiles": margin.named(), "notes": len(notes)}
+        ledger.summarise({**summary, **found})
