@@ -12,7 +12,7 @@ import jax
 from distributed import Client, LocalCluster
 from distributed.scheduler import KilledWorker
 
-from jaxcap.engine.places import Place
+from jaxcap.engine.places import Place, begetting
 from jaxcap.engine.workers import Terms, worded
 from jaxcap.errors import InputError
 from jaxcap.version import __version__
@@ -78,10 +78,10 @@ def cluster(address: str, jobs: int, terms: Terms = Terms()) -> Iterator[Cluster
             device, or several task threads.
     """
     if address == "local":
-        with (
-            LocalCluster(n_workers=jobs, threads_per_worker=1, dashboard_address=None, env=dict(terms.environment)) as local,
-            Client(local, set_as_default=False) as client,
-        ):
+        with begetting(terms.environment):  # a thread of Dask's begins here, and what it starts is spared Ctrl-C
+            options = {"n_workers": jobs, "threads_per_worker": 1, "env": dict(terms.environment)}
+            local = LocalCluster(dashboard_address=None, **options)
+        with local, Client(local, set_as_default=False) as client:
             yield Cluster(client, f"{jobs} workers of a local cluster", terms)
         return
     client = _connected(address)

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from contextlib import contextmanager
 from functools import cached_property
+from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from typing import Any
@@ -107,7 +108,7 @@ class Processes(Place):
         arguments = context.Value("i", 0), self._cores, self._end, self.terms.niceness
         executor = ProcessPoolExecutor(self._jobs, context, set_up, arguments)
         before = set(multiprocessing.active_children())
-        with _begetting(self.terms.environment):
+        with begetting(self.terms.environment):
             while len(children := set(multiprocessing.active_children()) - before) < self._jobs:
                 executor.submit(os.getpid)  # starts a process if none is idle
         executor.submit(os.getpid)  # or nobody would look whether the last one lives
@@ -116,9 +117,10 @@ class Processes(Place):
 
 
 @contextmanager
-def _begetting(environment: Mapping[str, str]) -> Iterator[None]:
+def begetting(environment: Mapping[str, str]) -> Iterator[None]:
     """A process that is started in this block has this environment, and no Ctrl-C until it is set up."""
     before = {name: os.environ.get(name) for name in environment}
+    resource_tracker.ensure_running()  # it is started with the first process, and unblocks Ctrl-C
     masked = hasattr(signal, "pthread_sigmask")
     mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT}) if masked else set()
     os.environ.update(environment)
