@@ -52,7 +52,7 @@ class Scoring:
         target, said = self.ledger.folder / part.name, list[str]()
         target.parent.mkdir(parents=True, exist_ok=True)
         with jax.enable_x64(self.how.dtype == "float64"):
-            options: dict[str, Any] = {"force": True, "progress": False, "say": said.append, "row_groups": part.row_groups}
+            options: dict[str, Any] = {"force": True, "alone": False, "say": said.append, "row_groups": part.row_groups}
             run = score_file(self.folder / part.file, target, self.how, self.known, **options)
         counts, margin = run.summary.counts._asdict(), run.summary.margin.histogram(MARGIN_BITS)
         record = {"input": part._asdict(), "counts": counts, "margin": margin, "notes": [*said, *run.notes()]}
