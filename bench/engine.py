@@ -5,9 +5,9 @@
 200 files of 50,000 rows by default, float32, one contact set. Programs are compiled before, and kept in a folder that
 all share. Seconds are those of the whole command without starting Python; `of one file` is the throughput over that of
 the one file in one process, which uses all cores; `at work` the same from when every worker has done two files, so without
-their waiting for JAX to begin, which a longer job does not notice. Then a worker is killed at a third, and the scheduler at two thirds,
-and the command is given again: the bytes have to be those of one process. At the end, what 10^10 states on 64 workers
-come to by these costs, on paper.
+their waiting for JAX to begin, which a longer job does not notice. Then a worker is killed at a third, and the scheduler at
+two thirds, and the command is given again: the bytes have to be those of one process. At the end, what 10^10 states on 64
+workers come to by these costs, on paper.
 """
 
 import argparse

@@ -136,6 +136,29 @@ def test_workers_that_are_different_are_refused_by_name(dataset, tmp_path):
     assert not (tmp_path / "out").exists()
 
 
+OTHERS = """
+import sys
+sys.path.insert(0, sys.argv[2])
+import only_here
+from jaxcap.engine import Terms
+from jaxcap.engine.cluster import cluster
+try:
+    with cluster(sys.argv[1], 1, Terms(about=only_here.about)):
+        pass
+except ValueError as error:
+    print(error)
+"""
+
+
+@pytest.mark.slow
+def test_workers_that_lack_what_the_job_needs_are_refused_by_name(tmp_path):
+    (tmp_path / "only_here.py").write_text("def about():\n    return {}\n")
+    with DaskCluster(tmp_path / "..", workers=1) as dask:
+        command = [sys.executable, "-c", OTHERS, dask.address, str(tmp_path)]
+        told = subprocess.run(command, capture_output=True, text=True, check=True, timeout=100).stdout
+    assert "worker tcp://127.0.0.1:" in told and "has no only_here (expected on its PYTHONPATH, as here)" in told
+
+
 @pytest.mark.slow
 def test_a_map_is_the_same_when_a_worker_is_killed(tmp_path):
     """And by spawned processes."""

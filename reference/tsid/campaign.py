@@ -5,9 +5,9 @@ file as they come, and the same command resumes; the file is the same to the byt
 that is there already is continued if it has the same settings and fewer samples.
 
 Samples are units of `jaxcap.engine`, which knows nothing of robots: they run on processes of this machine, on the workers
-of a Dask scheduler (--dask; each started in this folder, with one thread), or in shards, commands of their own in any queue
-(--shard 0/64 to 63/64). The shard that ends last writes the file; so does the command without --shard, which does what is
-missing.
+of a Dask scheduler (--dask; each with one thread, and this folder on its PYTHONPATH), or in shards, commands of their own in
+any queue (--shard 0/64 to 63/64). The shard that ends last writes the file; so does the command without --shard, which does
+what is missing.
 """
 
 from __future__ import annotations
