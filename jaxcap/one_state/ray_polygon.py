@@ -10,17 +10,26 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int, Shaped
 
 from jaxcap.contacts.cone import ConeRays
 from jaxcap.numerics import simplex
 from jaxcap.numerics.guarded import ratio, snapped, tolerances
 from jaxcap.numerics.simplex import FREE, UNIT, Basis, Outcome, Program, Solution
+from jaxcap.one_state import untied
 from jaxcap.one_state.basis_line import Carrying, first_met, line_of, one_place
 from jaxcap.one_state.boundary import Boundary, End
 from jaxcap.one_state.polygon import Survey
+from jaxcap.one_state.untied import Tied, Untied
 from jaxcap.one_state.walk import Affine, Next, moved, walk
 from jaxcap.one_state.wrench_line import WrenchLine, wrench_line
+
+AHEAD = 1e-3
+"""How far a line without an end is followed to ask for its basis, relative to the scale of alpha."""
+
+
+NEARER = 0.1
+"""Where derivatives are those of moved contacts, they are moved by this times as much as to choose a basis."""
 
 
 class Bases(NamedTuple):
@@ -77,6 +86,8 @@ class RayPolygon(NamedTuple):
     """Of the smallest acceleration at alpha = 0, or of a place nearby."""
     outcome: Int[Array, "*n"] | None = None
     """How the search for that basis ended; None where it is that of a place nearby, from where a search may begin."""
+    contact: Int[Array, "r *#n"] | None = None
+    """`ConeRays.contact`."""
 
     @property
     def ready(self) -> Basis:
@@ -153,6 +164,13 @@ class RayPolygon(NamedTuple):
         """The lower boundary, as `Producer` has it."""
         return _boundary(self, *jax.lax.stop_gradient((limit.astype(self.fall.dtype), enough)), rising, most)
 
+    def apart(self, where: Bool[Array, "*n"]) -> "RayPolygon":
+        """The same with contacts that are moved a little, in these lanes; see `untied`."""
+        if self.contact is None:
+            return self
+        moved = untied.jiggled(self.rays, self.contact, NEARER)
+        return self._replace(rays=jnp.where(where, moved, self.rays))
+
     def at_start(self) -> Program:
         """The program of the smallest acceleration at alpha = 0, (25); the free variable is the acceleration less `fall`."""
         return Program(self.rays, -self.forward, self.falling.target, self.falling.scale)
@@ -176,8 +194,7 @@ def ray_polygon(
     bounds = tolerances(com.dtype)
     line = wrench_line(rays.origin, rays.length, com, along, gravity, spin)
     scaled = lambda wrench: jnp.concatenate([wrench[:3], wrench[3:] / line.length])
-    columns = jnp.swapaxes(jnp.asarray(rays.rays, com.dtype), 0, 1)
-    columns = columns.reshape(*columns.shape, *[1] * (com.ndim + 1 - columns.ndim))  # one set for all lanes
+    columns = _beside(jnp.swapaxes(jnp.asarray(rays.rays, com.dtype), 0, 1), com.ndim + 1)
     columns = jax.lax.optimization_barrier(scaled(columns))
     into = simplex.mixture(columns)
 
@@ -197,7 +214,13 @@ def ray_polygon(
         fall=line.fall,
         line=line,
         size=line.length * line.remoteness,
+        contact=None if rays.contact is None else _beside(jnp.asarray(rays.contact), com.ndim),
     )
+
+
+def _beside(rows: Shaped[Array, "..."], dimensions: int) -> Shaped[Array, "..."]:
+    """What there is once for all lanes, with an axis of one for each of theirs."""
+    return rows.reshape(*rows.shape, *[1] * (dimensions - rows.ndim))
 
 
 def _solved(polygon: RayPolygon, near: Bases | None) -> tuple[Solution, Solution, Solution]:
@@ -356,12 +379,17 @@ def _boundary_jvp(rising, most, primals, tangents):
     (polygon, limit, enough), (change, *_) = primals, tangents
     found, indices = _search(polygon, limit, enough, rising, most, lambda basis: basis.chosen)
     final = jnp.isinf(found.pieces.right)
+    real = found.pieces.right > found.pieces.left
+    no = jnp.zeros((len(real) + 1, *real.shape[1:]), bool)
+    along = change._replace(rays=jnp.broadcast_to(change.rays, polygon.apart(no[0]).rays.shape))
+    following = _untied(polygon, found, indices) if polygon.contact is not None else Untied(indices, no, no)
 
     def of_piece(piece):
         """Line of a basis and its end: values, then how they move."""
-        index, real = piece
-        basis = simplex.factorised(polygon.at_start(), jnp.where(real, index, UNIT))
-        _, leaving, _ = _end(polygon, basis)
+        index, real, apart = piece
+        here = polygon.apart(apart)
+        basis = simplex.factorised(here.at_start(), jnp.where(real, index, UNIT))
+        _, leaving, _ = _end(here, basis)
 
         def figures(polygon):
             matrix = simplex.columns(polygon.at_start(), basis.chosen)
@@ -371,7 +399,48 @@ def _boundary_jvp(rising, most, primals, tangents):
             out = lambda values: jnp.sum(jnp.where(leaving & (basis.chosen != FREE), values, 0), axis=0)
             return Affine(free(held) + polygon.fall, free(rate)), -ratio(out(held), out(rate))
 
-        return jax.jvp(figures, (polygon,), (change,))[1]
+        return jax.jvp(figures, (here,), (along,))[1]
 
-    lines, walls = jax.lax.map(of_piece, (indices, found.pieces.right > found.pieces.left))
-    return found, moved(found, lines, jnp.sum(jnp.where(final, walls, 0), axis=0))
+    lines, walls = jax.lax.map(of_piece, (following.chosen[: len(real)], real, following.apart[:-1]))
+    wall = jnp.sum(jnp.where(final, walls, 0), axis=0)
+    if polygon.contact is not None:
+        here = polygon.apart(following.apart[-1])
+        basis = simplex.factorised(_wall(here), following.chosen[-1])
+        place = lambda polygon: -_place(polygon._replace(rays=_wall(polygon).rays), 1, basis)
+        wall = jnp.where(following.known[-1], jax.jvp(place, (here,), (along,))[1], wall)
+    return found, moved(found, lines, wall)
+
+
+def _untied(polygon: RayPolygon, found: Boundary, indices: Int[Array, "k 6 *n"]) -> Untied:
+    """The bases that derivatives follow, of the pieces and, as the last, of the polygon's right end."""
+    polygon = jax.lax.stop_gradient(polygon)
+    assert polygon.contact is not None, "asked only where it is known"
+    left, right, intercept, slope = found.pieces
+    end = jnp.where(jnp.isinf(right), jnp.where(jnp.isfinite(found.end), found.end, left + AHEAD * polygon.size), right)
+    middle, ends = (left + end) / 2, found.ending == End.POLYGON
+    bound = tolerances(middle.dtype).same_alpha
+    start, wall = polygon.at_start(), _wall(polygon)
+    of_start = start._replace(rays=wall.rays.at[:, -2:].set(0))
+    moved = jnp.broadcast_to(untied.jiggled(polygon.rays, polygon.contact), of_start.rays[:, :-2].shape)
+
+    def one(tied: Tied) -> Untied:
+        found = lambda: untied.untied(tied, jnp.concatenate([moved, tied.program.rays[:, -2:]], axis=1))
+        none = jnp.zeros_like(tied.asked)
+        return jax.lax.cond(jnp.any(tied.asked), found, lambda: Untied(tied.chosen, none, none))
+
+    def of_piece(index: Array, middle: Array, value: Array, used: Array) -> Tied:
+        there = of_start._replace(target=start.target + polygon.per_alpha * middle)
+        return Tied(index, there, value - polygon.fall, bound * start.scale, used)
+
+    pieces = jax.vmap(of_piece)(indices, middle, intercept + slope * middle, right > left)
+    anywhere = jnp.full_like(indices[0], UNIT).at[0].set(FREE)
+    last = Tied(anywhere, wall, -jnp.where(ends, found.end, 0), bound * polygon.size, ends)
+    # One after the other, with the end: each copy of the simplex takes a second or two to compile.
+    return jax.lax.map(one, jax.tree.map(lambda rows, row: jnp.concatenate([rows, row[None]]), pieces, last))
+
+
+def _wall(polygon: RayPolygon) -> Program:
+    """The program of the polygon's right end: the largest alpha, at any acceleration."""
+    rays = jnp.broadcast_to(polygon.rays, (*polygon.rays.shape[:2], *polygon.fall.shape))
+    way = jnp.broadcast_to(polygon.per_acceleration[:, None], (6, 1, *polygon.fall.shape))
+    return polygon.standing(1)._replace(rays=jnp.concatenate([rays, way, -way], axis=1))
