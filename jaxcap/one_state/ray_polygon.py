@@ -16,20 +16,11 @@ from jaxcap.contacts.cone import ConeRays
 from jaxcap.numerics import simplex
 from jaxcap.numerics.guarded import ratio, snapped, tolerances
 from jaxcap.numerics.simplex import FREE, UNIT, Basis, Outcome, Program, Solution
-from jaxcap.one_state import untied
 from jaxcap.one_state.basis_line import Carrying, first_met, line_of, one_place
 from jaxcap.one_state.boundary import Boundary, End
 from jaxcap.one_state.polygon import Survey
-from jaxcap.one_state.untied import Tied, Untied
 from jaxcap.one_state.walk import Affine, Next, moved, walk
 from jaxcap.one_state.wrench_line import WrenchLine, wrench_line
-
-AHEAD = 1e-3
-"""How far a line without an end is followed to ask for its basis, relative to the scale of alpha."""
-
-
-NEARER = 0.1
-"""Where derivatives are those of moved contacts, they are moved by this times as much as to choose a basis."""
 
 
 class Bases(NamedTuple):
@@ -164,12 +155,14 @@ class RayPolygon(NamedTuple):
         """The lower boundary, as `Producer` has it."""
         return _boundary(self, *jax.lax.stop_gradient((limit.astype(self.fall.dtype), enough)), rising, most)
 
-    def apart(self, where: Bool[Array, "*n"]) -> "RayPolygon":
-        """The same with contacts that are moved a little, in these lanes; see `untied`."""
-        if self.contact is None:
-            return self
-        moved = untied.jiggled(self.rays, self.contact, NEARER)
-        return self._replace(rays=jnp.where(where, moved, self.rays))
+    def jiggled(self) -> Float[Array, "6 r *#n"]:
+        """The rays of contacts that are moved a little, each in a direction of its own: no two of them tie."""
+        assert self.contact is not None, "asked only where it is known"
+        turns = jnp.array([12.9898, 78.233, 37.719], self.rays.dtype)  # any numbers without a common measure
+        apart = jnp.sin(turns.reshape(3, *[1] * self.contact.ndim) * (1 + self.contact.astype(self.rays.dtype)))
+        forces, torques = self.rays[:3], self.rays[3:]
+        far = tolerances(self.rays.dtype).slack ** 0.5
+        return jnp.concatenate([forces, torques + far * jnp.cross(apart, forces, axis=0)])
 
     def at_start(self) -> Program:
         """The program of the smallest acceleration at alpha = 0, (25); the free variable is the acceleration less `fall`."""
@@ -379,17 +372,12 @@ def _boundary_jvp(rising, most, primals, tangents):
     (polygon, limit, enough), (change, *_) = primals, tangents
     found, indices = _search(polygon, limit, enough, rising, most, lambda basis: basis.chosen)
     final = jnp.isinf(found.pieces.right)
-    real = found.pieces.right > found.pieces.left
-    no = jnp.zeros((len(real) + 1, *real.shape[1:]), bool)
-    along = change._replace(rays=jnp.broadcast_to(change.rays, polygon.apart(no[0]).rays.shape))
-    following = _untied(polygon, found, indices) if polygon.contact is not None else Untied(indices, no, no)
 
     def of_piece(piece):
         """Line of a basis and its end: values, then how they move."""
-        index, real, apart = piece
-        here = polygon.apart(apart)
-        basis = simplex.factorised(here.at_start(), jnp.where(real, index, UNIT))
-        _, leaving, _ = _end(here, basis)
+        index, real = piece
+        basis = simplex.factorised(polygon.at_start(), jnp.where(real, index, UNIT))
+        _, leaving, _ = _end(polygon, basis)
 
         def figures(polygon):
             matrix = simplex.columns(polygon.at_start(), basis.chosen)
@@ -399,44 +387,30 @@ def _boundary_jvp(rising, most, primals, tangents):
             out = lambda values: jnp.sum(jnp.where(leaving & (basis.chosen != FREE), values, 0), axis=0)
             return Affine(free(held) + polygon.fall, free(rate)), -ratio(out(held), out(rate))
 
-        return jax.jvp(figures, (here,), (along,))[1]
+        return jax.jvp(figures, (polygon,), (change,))[1]
 
-    lines, walls = jax.lax.map(of_piece, (following.chosen[: len(real)], real, following.apart[:-1]))
-    wall = jnp.sum(jnp.where(final, walls, 0), axis=0)
-    if polygon.contact is not None:
-        here = polygon.apart(following.apart[-1])
-        basis = simplex.factorised(_wall(here), following.chosen[-1])
-        place = lambda polygon: -_place(polygon._replace(rays=_wall(polygon).rays), 1, basis)
-        wall = jnp.where(following.known[-1], jax.jvp(place, (here,), (along,))[1], wall)
-    return found, moved(found, lines, wall)
+    lines, walls = jax.lax.map(of_piece, (indices, found.pieces.right > found.pieces.left))
+    return found, moved(found, lines, _wall_moved(polygon, change, found, jnp.sum(jnp.where(final, walls, 0), axis=0)))
 
 
-def _untied(polygon: RayPolygon, found: Boundary, indices: Int[Array, "k 6 *n"]) -> Untied:
-    """The bases that derivatives follow, of the pieces and, as the last, of the polygon's right end."""
-    polygon = jax.lax.stop_gradient(polygon)
-    assert polygon.contact is not None, "asked only where it is known"
-    left, right, intercept, slope = found.pieces
-    end = jnp.where(jnp.isinf(right), jnp.where(jnp.isfinite(found.end), found.end, left + AHEAD * polygon.size), right)
-    middle, ends = (left + end) / 2, found.ending == End.POLYGON
-    bound = tolerances(middle.dtype).same_alpha
-    start, wall = polygon.at_start(), _wall(polygon)
-    of_start = start._replace(rays=wall.rays.at[:, -2:].set(0))
-    moved = jnp.broadcast_to(untied.jiggled(polygon.rays, polygon.contact), of_start.rays[:, :-2].shape)
+def _wall_moved(polygon: RayPolygon, change: RayPolygon, found: Boundary, by_last: Float[Array, "*n"]) -> Float[Array, "*n"]:
+    """How the polygon's right end moves, as the contacts do; `by_last`: as the basis of the last line has it.
 
-    def one(tied: Tied) -> Untied:
-        found = lambda: untied.untied(tied, jnp.concatenate([moved, tied.program.rays[:, -2:]], axis=1))
-        none = jnp.zeros_like(tied.asked)
-        return jax.lax.cond(jnp.any(tied.asked), found, lambda: Untied(tied.chosen, none, none))
-
-    def of_piece(index: Array, middle: Array, value: Array, used: Array) -> Tied:
-        there = of_start._replace(target=start.target + polygon.per_alpha * middle)
-        return Tied(index, there, value - polygon.fall, bound * start.scale, used)
-
-    pieces = jax.vmap(of_piece)(indices, middle, intercept + slope * middle, right > left)
-    anywhere = jnp.full_like(indices[0], UNIT).at[0].set(FREE)
-    last = Tied(anywhere, wall, -jnp.where(ends, found.end, 0), bound * polygon.size, ends)
-    # One after the other, with the end: each copy of the simplex takes a second or two to compile.
-    return jax.lax.map(one, jax.tree.map(lambda rows, row: jnp.concatenate([rows, row[None]]), pieces, last))
+    Where contacts are coplanar, several bases meet the end, and each of them moves in its own way with the points, also
+    where the end itself has one derivative only. That of the contacts moved a little, each its own way, is the right one.
+    """
+    if polygon.contact is None:
+        return by_last
+    ending = found.ending == End.POLYGON
+    apart = _wall(polygon._replace(rays=polygon.jiggled()))
+    begin = simplex.freed(apart, simplex.identity(polygon.fall.shape, polygon.fall.dtype))
+    solution = simplex.solve(apart, begin, ending)
+    basis = simplex.factorised(_wall(polygon), solution.basis.chosen)
+    place = lambda polygon: -_place(polygon._replace(rays=_wall(polygon).rays), 1, basis)
+    at, moves = jax.jvp(place, (polygon,), (change,))
+    # Not where they have another end: what is flat is not, when its contacts are moved.
+    there = jnp.abs(at - jnp.where(ending, found.end, 0)) <= tolerances(at.dtype).same_alpha * polygon.size
+    return jnp.where(ending & there & (solution.outcome == Outcome.OPTIMAL), moves, by_last)
 
 
 def _wall(polygon: RayPolygon) -> Program:
