@@ -70,6 +70,16 @@ def test_in_short_has_the_cells_of_the_long_table(file, tmp_path):
     assert first[1] == "400" and first[5] == "74 / 2.3 (standard alone)"
 
 
+@pytest.mark.parametrize(
+    "scenario, robot, told",
+    [("two", "talos", "two feet"), ("two", "g1", "two feet, robot G1"), ("two_coplanar", "mine", "two coplanar feet, mine")],
+)
+def test_robots_are_told_apart(file, tmp_path, scenario, robot, told):
+    other = file._replace(scenario=scenario, robot=robot)
+    assert postures.title(other) == told
+    assert postures.order_in_words({"other": other}, tmp_path).startswith(f"- T{told[1:]}: ")
+
+
 def test_areas_in_short_count_held_postures(file, tmp_path):
     (line,) = lines(postures.areas_in_short({"three": file}, tmp_path))
     held = file.outcomes[FOUR][file.effort <= 1]

@@ -1,12 +1,19 @@
 """Robots by configuration: their rectangles lie where the meshes end, their limits are real, mistakes are named."""
 
+from pathlib import Path
+
 import numpy as np
 import pinocchio as pin
 import pytest
 
+import reference.tsid
+from reference.tsid.holding import effort
 from reference.tsid.robot import CONFIGURATIONS, EFFECTORS, configuration, load
+from reference.tsid.sampling import draw
+from reference.tsid.table import read
 
 ROBOTS = sorted(path.stem for path in CONFIGURATIONS.glob("*.toml"))
+DATA = Path(reference.tsid.__file__).parent / "data"
 
 
 @pytest.fixture(scope="module", params=ROBOTS)
@@ -146,3 +153,16 @@ def test_mistakes_are_named(tmp_path, old, new, message):
 def test_unknown_robots_are_named():
     with pytest.raises(FileNotFoundError, match=r"robot 'atlas': no such file \(by name: g1, talos, talos_strong_arms\)"):
         load("atlas")
+
+
+@pytest.mark.parametrize("file", ["two_coplanar_g1", "two_g1", "three_strong_arms", "four_strong_arms"])
+def test_committed_rows_are_this_robots(file):
+    """A file of another robot holds the postures that its configuration gives, and what they cost that robot's joints."""
+    settings, _, rows = read(DATA / f"{file}.parquet")
+    robot, row = load(settings["robot"]), rows[7]
+    assert settings["robot"] in ("g1", "talos_strong_arms") and [one["index"] for one in rows] == list(range(len(rows)))
+    sample = draw(robot, settings["scenario"], settings["seed"], row["index"])
+    assert len(row["q"]) == robot.model.nq and len(row["v"]) == robot.model.nv
+    np.testing.assert_allclose(sample.q, row["q"], atol=1e-6)
+    np.testing.assert_allclose(sample.v, row["v"], atol=1e-5)
+    assert row["effort"] == pytest.approx(effort(robot, sample.q, sample.contacts), rel=1e-5)

@@ -110,7 +110,8 @@ def order_in_words(samples: dict[str, Samples], folder: Path) -> str:
             "the support polygon less the hull": difference(values[2], values[3], fell),
         }
         said = (f"{name} {percent(pair.interval, sign=True)}, {verdict(pair)}" for name, pair in pairs.items())
-        told.append(f"- {title(file).capitalize()}: {'; '.join(said)}.")
+        name = title(file)
+        told.append(f"- {name[0].upper()}{name[1:]}: {'; '.join(said)}.")
     return "\n".join(told)
 
 

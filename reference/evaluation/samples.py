@@ -25,15 +25,15 @@ FILES = {
     "two": "--samples 10000",
     "three": "--samples 10000",
     "four": "--samples 10000",
-    "four_strong": "--samples 10000",
+    "four_strong": "--samples 2000",
     "two_ablations": f"--samples 2000 --all --controllers {ABLATIONS}",
     "three_ablations": f"--samples 2000 --all --controllers {ABLATIONS}",
     "two_zero_momentum": "--samples 2000 --all --zero-momentum --controllers standard constant_momentum",
     "three_zero_momentum": "--samples 2000 --all --zero-momentum --controllers standard constant_momentum",
     "three_strong_arms": "--samples 1000 --robot talos_strong_arms --states 1000",
     "four_strong_arms": "--samples 1000 --robot talos_strong_arms --states 1000",
-    "two_coplanar_g1": "--samples 1000 --robot g1 --states 1000",
-    "two_g1": "--samples 1000 --robot g1 --states 1000",
+    "two_coplanar_g1": "--samples 250 --robot g1 --states 1000",
+    "two_g1": "--samples 250 --robot g1 --states 1000",
 }
 """The files of a whole campaign, and the options that made them: `command`."""
 
