@@ -4,9 +4,10 @@
 
 200 files of 50,000 rows by default, float32, one contact set. Programs are compiled before, and kept in a folder that
 all share. Seconds are those of the whole command without starting Python; `of one file` is the throughput over that of
-the one file in one process, which uses all cores. Then a worker is killed at a third, and the scheduler at two thirds,
-and the command is given again: the bytes have to be those of one process. At the end, what 10^10 states on 64 workers
-come to by these costs, on paper.
+the one file in one process, which uses all cores; `at work` the same from when every worker has done two files, so without
+their waiting for JAX to begin, which a longer job does not notice. Then a worker is killed at a third, and the scheduler at
+two thirds, and the command is given again: the bytes have to be those of one process. At the end, what 10^10 states on 64
+workers come to by these costs, on paper.
 """
 
 import argparse
@@ -38,6 +39,8 @@ class Line(NamedTuple):
     states: int
     peak_bytes: int | None = None
     """The largest resident memory of a process that scores."""
+    at_work: float | None = None
+    """States a second when all workers have begun."""
 
 
 class Job(NamedTuple):
@@ -52,10 +55,18 @@ class Job(NamedTuple):
         where = [str(self.folder / states), "-o", str(self.folder / output)]
         return ["score", *where, "--contacts", str(CONTACTS), *self.options, *options]
 
-    def here(self, what: str, states: str, output: str, *options: str) -> Line:
+    def here(self, what: str, states: str, output: str, *options: str, workers: int = 1) -> Line:
         """One command, and what it took; memory is that of the command itself."""
         cost = in_process(self.command(states, output, *options))
-        return Line(what, cost.seconds, self.states, None if "--jobs" in options else cost.peak_bytes)
+        memory = None if "--jobs" in options else cost.peak_bytes
+        return Line(what, cost.seconds, self.states, memory, at_work(self.folder / output, self.states, 2 * workers))
+
+
+def at_work(folder: Path, states: int, begun: int) -> float | None:
+    """States a second of a folder after so many files, by the times at which the files appeared; None for a file."""
+    times = sorted(file.stat().st_mtime for file in folder.glob("*.parquet"))
+    share = (len(times) - begun) / len(times) if len(times) > begun else 0
+    return share * states / (times[-1] - times[begun - 1]) if share else None
 
 
 def prepared(folder: Path, files: int, rows: int) -> Job:
@@ -84,9 +95,9 @@ def peak(pid: int) -> int:
 def on_dask(job: Job, workers: int) -> Line:
     """The job on a cluster of so many workers, which have imported nothing."""
     with DaskCluster(job.folder / "log", workers) as dask:
-        line = job.here("", "in", f"dask{workers}", "--dask", dask.address)
+        line = job.here("", "in", f"dask{workers}", "--dask", dask.address, workers=workers)
         memory = max(peak(worker.pid) for worker in dask.workers)
-    return Line(f"Dask, {workers} worker{'s' if workers > 1 else ''}", line.seconds, line.states, memory)
+    return line._replace(what=f"Dask, {workers} worker{'s' if workers > 1 else ''}", peak_bytes=memory)
 
 
 def handing_over(folder: Path) -> float:
@@ -153,14 +164,17 @@ def main() -> None:
         one = job.here("one file, this process", "one.parquet", "scores.parquet")
         lines = [one, job.here("files, this process", "in", "here")]
         jobs = ("--jobs", str(options.workers))
-        lines.append(job.here(f"files, {options.workers} processes", "in", "processes", *jobs))
+        lines.append(job.here(f"files, {options.workers} processes", "in", "processes", *jobs, workers=options.workers))
         lines += [on_dask(job, workers) for workers in sorted({1, options.workers})]
         print(f"{options.files} files of {options.rows} rows, float32")
-        print(f"{'what':<26}{'seconds':>10}{'states/s':>12}{'of one file':>13}{'peak MB':>10}")
+        print(f"{'what':<26}{'seconds':>10}{'states/s':>12}{'of one file':>13}{'at work':>9}{'peak MB':>10}")
         for line in lines:
             memory = "" if line.peak_bytes is None else f"{line.peak_bytes / MB:.0f}"
-            share = one.seconds / line.seconds
-            print(f"{line.what:<26}{line.seconds:>10.2f}{line.states / line.seconds:>12.3g}{share:>13.2f}{memory:>10}")
+            share, later = one.seconds / line.seconds, ""
+            if line.at_work is not None:
+                later = f"{line.at_work * one.seconds / one.states:.2f}"
+            rate = line.states / line.seconds
+            print(f"{line.what:<26}{line.seconds:>10.2f}{rate:>12.3g}{share:>13.2f}{later:>9}{memory:>10}")
         alone = next(line for line in lines if line.what == "Dask, 1 worker")
         print(on_paper(job, options.files, alone, handing_over(Path(name))))
         print(survived(job, options.files))

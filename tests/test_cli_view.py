@@ -72,6 +72,7 @@ def test_the_area_holds_the_speeds_that_can_be_stopped(states):
     assert not len(scene(model, columns, row, area=True).area)  # nothing touches: no velocity can be stopped
 
 
+@pytest.mark.slow
 def test_a_film_is_saved(states, meshes, tmp_path, capsys, monkeypatch):
     """Every row, as viser plays it: meshes once, what moves for each row, at the times of the log."""
     msgspec, zstandard = pytest.importorskip("msgspec"), pytest.importorskip("zstandard")

@@ -103,8 +103,16 @@ def test_a_scheduler_that_does_not_answer_is_told_within_ten_seconds(address):
 
 
 @pytest.mark.slow
+def test_a_cluster_of_this_machine(dataset, tmp_path):
+    """It begins and ends with the command."""
+    printed = finished(jaxcap(*scoring(dataset, tmp_path / "out", "--dask", "local", "--jobs", "2")))
+    assert "2 workers of a local cluster" in printed
+    assert tree(tmp_path / "out") == tree(dataset / "one")
+
+
+@pytest.mark.slow
 def test_workers_that_are_different_are_refused_by_name(dataset, tmp_path):
-    """One has another jaxcap, then one has two task threads."""
+    """One has another jaxcap, then one another JAX; then one has two task threads."""
     other = tmp_path / "other" / "jaxcap"
     other.mkdir(parents=True)
     (other / "__init__.py").write_text('__version__ = "0.0.7"\n')
@@ -114,11 +122,41 @@ def test_workers_that_are_different_are_refused_by_name(dataset, tmp_path):
         told = refused(jaxcap(*arguments))
         assert "worker tcp://127.0.0.1:" in told and "has jaxcap 0.0.7 (expected " in told
         kill(old)
+    newer = tmp_path / "newer"
+    newer.mkdir()
+    (newer / "sitecustomize.py").write_text("import jax\njax.__version__ = '99.0'\n")
+    with DaskCluster(tmp_path, workers=0) as dask:
+        dask.start_worker(path=str(newer))
+        told = refused(jaxcap(*scoring(dataset, tmp_path / "out", "--dask", dask.address)))
+        assert "worker tcp://127.0.0.1:" in told and "has jax 99.0 (expected " in told
     with DaskCluster(tmp_path, workers=0) as dask:
         dask.start_worker(threads=2)
         told = refused(jaxcap(*scoring(dataset, tmp_path / "out", "--dask", dask.address)))
         assert "has 2 task threads (expected 1: dask worker --nthreads 1)" in told
     assert not (tmp_path / "out").exists()
+
+
+OTHERS = """
+import sys
+sys.path.insert(0, sys.argv[2])
+import only_here
+from jaxcap.engine import Terms
+from jaxcap.engine.cluster import cluster
+try:
+    with cluster(sys.argv[1], 1, Terms(about=only_here.about)):
+        pass
+except ValueError as error:
+    print(error)
+"""
+
+
+@pytest.mark.slow
+def test_workers_that_lack_what_the_job_needs_are_refused_by_name(tmp_path):
+    (tmp_path / "only_here.py").write_text("def about():\n    return {}\n")
+    with DaskCluster(tmp_path / "..", workers=1) as dask:
+        command = [sys.executable, "-c", OTHERS, dask.address, str(tmp_path)]
+        told = subprocess.run(command, capture_output=True, text=True, check=True, timeout=100).stdout
+    assert "worker tcp://127.0.0.1:" in told and "has no only_here (expected on its PYTHONPATH, as here)" in told
 
 
 @pytest.mark.slow

@@ -9,8 +9,11 @@ from typing import NamedTuple
 
 import pytest
 
-from jaxcap.engine import Here, Place, Shard, Unit, open_ledger, over_units, processes, shard_of
+from jaxcap.engine import Here, Place, Shard, Terms, Unit, open_ledger, over_units, processes, shard_of
 from jaxcap.errors import InputError
+
+MINUTES = 60.0
+"""[s]"""
 
 
 class Touch(NamedTuple):
@@ -21,6 +24,8 @@ class Touch(NamedTuple):
     """Numbers that kill their process, always."""
     once: tuple[int, ...] = ()
     """Numbers that kill their process the first time."""
+    long: tuple[int, ...] = ()
+    """Numbers that take MINUTES the first time; before they have begun, none dies."""
 
     def __call__(self, number: int) -> int:
         mark = self.folder / str(number)
@@ -29,7 +34,12 @@ class Touch(NamedTuple):
             file.write(b"x")
         if number in self.deadly or (number in self.once and not again):
             time.sleep(0.2)  # others run beside it
+            while not all((self.folder / str(other)).exists() for other in self.long):
+                time.sleep(0.05)
             os.kill(os.getpid(), signal.SIGKILL)
+        end = time.monotonic() + MINUTES * (number in self.long and not again)
+        while time.monotonic() < end:
+            time.sleep(0.1)
         return number * number
 
 
@@ -88,6 +98,13 @@ def test_no_more_units_are_taken_than_the_place_may_have():
     found.close()
 
 
+def test_units_are_taken_when_there_is_room():
+    asked = []
+    found = over_units(Here(), abs, (Unit(number, asked.append(number) or number) for number in range(5)))
+    assert [next(found).value, next(found).value] == [0, 1] and asked == [0, 1]
+    found.close()
+
+
 def test_an_interruption_ends_it():
     def interrupted(number):
         if number == 1:
@@ -107,8 +124,51 @@ def test_a_process_that_dies_costs_no_other_unit(tmp_path):
     with processes(2) as place:
         found = {one.unit.number: one for one in over_units(place, work, units(8))}
     assert {n: one.value for n, one in found.items() if not one.error} == {n: n * n for n in range(8) if n != 3}
-    assert found[3].error == "the process that ran it died"
+    assert (found[3].error, found[3].died) == ("its process died with exit code -9", True)
     assert len((tmp_path / "1").read_bytes()) >= 2
+
+
+@pytest.mark.slow
+def test_who_works_long_is_not_waited_for_when_another_dies(tmp_path):
+    """What ran beside it begins anew: it is told to end in the middle, and does."""
+    start = time.monotonic()
+    with processes(2, Terms(ahead=1)) as place:
+        found = list(over_units(place, Touch(tmp_path, once=(1,), long=(0,)), units(2)))
+    assert sorted(one.value for one in found) == [0, 1] and len((tmp_path / "0").read_bytes()) == 2
+    assert time.monotonic() - start < MINUTES
+
+
+class Answer(NamedTuple):
+    """What a process is like."""
+
+    name: str
+
+    def __call__(self, _: int) -> tuple[str | None, int, str | None]:
+        return os.environ.get(self.name), os.nice(0), os.environ.get("PATH")
+
+
+@pytest.mark.slow
+def test_processes_are_as_the_job_asks(monkeypatch):
+    monkeypatch.delenv("JAXCAP_TEST", raising=False)
+    niceness = os.nice(0)
+    with processes(1, Terms(environment={"JAXCAP_TEST": "7"}, niceness=3)) as place:
+        (found,) = over_units(place, Answer("JAXCAP_TEST"), units(1))
+    assert found.value == ("7", min(19, niceness + 3), os.environ["PATH"])
+    assert "JAXCAP_TEST" not in os.environ and os.nice(0) == niceness
+
+
+def strange():
+    """What a process that is unlike this one finds."""
+    return {"jax": f"of process {os.getpid()}"}
+
+
+@pytest.mark.slow
+def test_a_worker_that_is_different_fails_its_units_by_name():
+    with processes(1, Terms(about=strange)) as place:
+        assert place.about == {"jax": f"of process {place.about['jax'].split()[-1]}"} != strange()
+        place.about["jax"] = "0.0.7"
+        (found,) = over_units(place, abs, units(1), tries=1)
+    assert "has jax of process " in found.error and "(expected jax 0.0.7)" in found.error and not found.died
 
 
 @pytest.mark.parametrize(

@@ -266,6 +266,14 @@ def test_small_batches_make_no_small_row_groups(tmp_path):
     assert pq.ParquetFile(convert(path, tmp_path / "out.parquet", batch_size=10)).num_row_groups == 1
 
 
+def test_only_what_repeats_is_written_by_dictionary(tmp_path):
+    more = {"word": pa.array(["left"] * 9), "at": pa.array([[{"x": 1.5}]] * 9), "friction": pa.array([0.5] * 9)}
+    group = pq.read_metadata(convert(write_states(tmp_path / "a.parquet", 9, **more), tmp_path / "out.parquet")).row_group(0)
+    columns = [group.column(i) for i in range(group.num_columns)]
+    found = {column.path_in_schema.split(".")[0] for column in columns if "RLE_DICTIONARY" in column.encodings}
+    assert found >= {"word", "at", "friction", "case"} and not found & {"com", "com_velocity", "margin", "time", "effort"}
+
+
 @pytest.mark.parametrize("target", ["parquet", "npz"])
 def test_an_error_leaves_nothing(tmp_path, target):
     path = write_states(tmp_path / "a.npz", 10)

@@ -112,6 +112,7 @@ def test_integrate_lds_where_printed_algorithm_3_errs():
 # (16), (25)-(29)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("flat", [False, True])
 def test_pieces_hold_and_join(flat):
     rng = np.random.default_rng(3)

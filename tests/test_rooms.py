@@ -72,6 +72,22 @@ def test_a_room_imports_only_what_it_says(trees):
     assert not unsaid
 
 
+def test_the_reference_shares_no_mathematics(trees):
+    """It hands its work to processes by the engine, and takes nothing else; nothing here knows it."""
+    reference = modules(HERE.parent / "reference")
+    theirs = {node.module for tree in reference.values() for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
+    theirs |= {
+        name.name
+        for tree in reference.values()
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Import)
+        for name in node.names
+    }
+    assert {name for name in theirs if name and name.split(".")[0] == "jaxcap"} == {"jaxcap.engine", "jaxcap.errors"}
+    ours = {node.module for tree in trees.values() for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
+    assert not [name for name in ours if name and name.split(".")[0] == "reference"]
+
+
 def allowed(words: str) -> set[str]:
     """The rooms that a docstring allows: "May import `one`, `two`", "`one` to `four`", or "every room"."""
     may = words.partition("May import ")[2]

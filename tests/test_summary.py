@@ -1,5 +1,7 @@
 """Counts and quantiles of the closing table."""
 
+import json
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -29,6 +31,20 @@ def test_quantiles_do_not_depend_on_batches(first, second):
     two.add(np.array(first))
     assert len(one) == len(two) == len(first) + len(second)
     assert one(0.5) == two(0.5) or not len(one)
+
+
+@given(st.lists(st.lists(FLOATS, max_size=10), min_size=1, max_size=5), st.floats(0, 1))
+def test_quantiles_of_many_files_are_those_of_the_sorted_numbers(files, share):
+    kept = []
+    for values in files:
+        one = Quantiles()
+        one.add(np.array(values, dtype=np.float32))
+        kept.append(json.loads(json.dumps(one.histogram(7), allow_nan=False)))
+    both, values = Quantiles.of(kept, 7), sorted(value for one in files for value in one)
+    assert len(both) == len(values) and list(both.named()) == (["5%", "25%", "50%", "75%", "95%"] if values else [])
+    if values:
+        exact = values[max(1, int(np.ceil(share * len(values)))) - 1]
+        assert both(share) == pytest.approx(exact, rel=8.1e-3, abs=1e-37)
 
 
 def test_zero_and_infinity_are_exact_and_nan_is_left_out():

@@ -21,11 +21,10 @@ QUICK: dict[str, tuple[str, ...]] = {
     "test_advance.py": (
         "test_what_cannot_be_is_named",
         "test_the_oracle_agrees_with_the_pendulum",
-        "test_the_inverted_pendulum_in_closed_form[0.2-0.1-faces",
     ),
     "test_angular_momentum.py": ("test_wrong_shapes_are_named",),
     "test_batch.py": (
-        "test_what_is_left_is_sorted_by_kind_and_slope",
+        "test_what_is_left_is_sorted_by_kind_and_slope[1]",
         "test_fields_have_their_types",
         "test_importing_costs_no_extra",
     ),
@@ -53,7 +52,6 @@ QUICK: dict[str, tuple[str, ...]] = {
         "test_interrupt_in_process",
     ),
     "test_cli_baselines.py": (
-        "test_one_set_of_contacts",
         "test_heights_that_are_refused",
         "test_a_column_of_that_name_is_refused",
         "test_help_names_the_columns",
@@ -108,13 +106,11 @@ QUICK: dict[str, tuple[str, ...]] = {
         "test_a_row_is_bad_if_and_only_if_it_makes_no_contact_set",
     ),
     "test_devices.py": (),
-    "test_edges.py": (
-        "test_no_force_that_no_contact_gives_stops_a_robot[float64-faces",
-        "test_slack_changes_verdicts_within_its_distance_only[float64-faces",
-    ),
+    "test_edges.py": ("test_slack_changes_verdicts_within_its_distance_only[float64-faces",),
     "test_evaluation_roc.py": ("",),
     "test_export.py": ("test_what_cannot_be_exported",),
-    "test_gradients.py": ("test_gradient_of_the_margin_is_never_nan[float64",),
+    "test_gradients.py": (),
+    "test_gradients_flat_floors.py": (),
     "test_inputs.py": (
         "test_gravity_as_a_number",
         "test_contacts_in_place_of_a_cone",
@@ -126,10 +122,8 @@ QUICK: dict[str, tuple[str, ...]] = {
         "test_yaw",
         "test_order_of_contacts",
         "test_scale_of_length_and_time",
-        "test_mask_equals_absence",
         "test_another_contact_never_hurts",
         "test_more_friction_never_hurts",
-        "test_single_precision_agrees_outside_the_band[faces",
         "test_margin",
     ),
     "test_maps.py": (
@@ -184,7 +178,6 @@ QUICK: dict[str, tuple[str, ...]] = {
         "test_event_integration_of_a_hanging_robot",
         "test_static_interval_of_flat_feet_is_their_hull",
         "test_speed_interval_on_flat_ground_and_its_error",
-        "test_splitting_every_step_never_loses_a_speed",
         "test_polygon_agrees_with_the_accelerations",
         "test_discretisation_covers_the_hanging_robot",
         "test_discretised_stop_obeys_the_polygon_between_its_knots",
@@ -203,11 +196,9 @@ QUICK: dict[str, tuple[str, ...]] = {
     "test_tsid_limits.py": ("",),
     "test_tsid_simulator.py": ("test_without_a_push_the_robot_has_stopped", "test_options_are_checked"),
     "test_tsid_summary.py": ("",),
+    "test_tsid_touchdown.py": ("",),
     "test_tsid_wrench_cone.py": ("",),
-    "test_velocity_area.py": (
-        "test_the_area_over_flat_ground_is_that_of_the_feet[faces",
-        "test_the_mesh_of_a_ball_has_its_volume",
-    ),
+    "test_velocity_area.py": ("test_the_mesh_of_a_ball_has_its_volume",),
 }
 """Files with tests that are not quick: all but those whose names begin like these."""
 

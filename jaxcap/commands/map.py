@@ -222,7 +222,7 @@ class Cached:
 def _over(place: Place, keep: Keep, work: Callable[[int], int], numbers: list[int]) -> Iterator[int]:
     """The numbers of regions as they are done. Raises InputError for those that failed, when the others are done."""
     failed = []
-    for unit, _, error in over_units(place, Cached(work, keep), [Unit(number, number) for number in numbers]):
+    for unit, _, error, _ in over_units(place, Cached(work, keep), [Unit(number, number) for number in numbers]):
         if error:
             failed.append(f"number {unit.number}: {error}")
         else:

@@ -46,7 +46,7 @@ def score(
 
     Args:
         states: File of states, .parquet, .npz or .csv; or a folder or a glob of Parquet files.
-        output: File to write, .parquet or .npz; or a folder, if STATES is many files.
+        output: File to write, .parquet or .npz; or a folder, if STATES is many files, or one that is scored in parts.
         contacts: File of contacts, .yaml or .json; not needed if STATES has them.
         robot: STATES is the log of this robot: its name, or URDF or MJCF file. See jaxcap states --help. Its torque limits
             and its angular momentum count.
@@ -67,11 +67,11 @@ def score(
     """
     _check_options(sides, batch_size, baselines, height, mass)
     check_where(where)
-    if many := robot is None and is_many(states):
+    if many := robot is None and is_many(states, output):
         check_plain(log)
     else:
         if where != Where():
-            raise InputError(f"{where.given} (expected with a folder or a glob of Parquet files as STATES)")
+            raise InputError(f"{where.given} (expected with many Parquet files as STATES, or one and a folder as OUT)")
         check_output(output, force=force, inputs=tuple(path for path in (states, contacts) if path))
     sets = read_contact_sets(contacts) if contacts else None
     how = Settings(contacts, sets, dtype, sides, batch_size, neighbours, baselines, height, mass, strict, cache, no_cache)

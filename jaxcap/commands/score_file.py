@@ -57,8 +57,9 @@ def score_file(
     known: Counted,
     *,
     named: Path | None = None,
+    row_groups: range | None = None,
     force: bool,
-    progress: bool = True,
+    alone: bool = True,
     say: Callable[[str], None],
 ) -> "Run":
     """Scores a file, writes the answers and returns what there is to say. JAX's x64 switch has to be as `how.dtype` needs.
@@ -69,8 +70,9 @@ def score_file(
         how: The settings.
         known: What of the robot counts.
         named: What the user calls the file of states, if it is another.
+        row_groups: Those of a Parquet file that are scored; None: all.
         force: Replace `output` if it is there.
-        progress: Show a bar, if stderr is a terminal.
+        alone: Not one of many files: shows a bar, if stderr is a terminal, and tells compiling from scoring.
         say: Takes what there is to say before anything is computed.
 
     Raises:
@@ -78,7 +80,7 @@ def score_file(
     """
     named = named or states
     with (
-        read_states(states, rows := known.rows(how.batch_size), np.float64, known.mass) as source,
+        read_states(states, rows := known.rows(how.batch_size), np.float64, known.mass, row_groups) as source,
         compilation_cache(how.cache, how.no_cache),
     ):
         if known.words:
@@ -98,7 +100,7 @@ def score_file(
         scorer = scorer_of(described, how.contacts, min(rows, source.rows), how.sides, how.neighbours)
         answer = partial(_answered, scorer, limits=known.limits, baselines=how.baselines, height=how.height)
         metadata = describe(described, GRAVITY, how.sides, np.dtype(how.dtype), fields, source.momentum, **more)
-        run = Run(answer, scorer, how.strict, progress)
+        run = Run(answer, scorer, how.strict, alone)
         options: dict[str, Any] = {"fields": fields, "about": source.about, "force": force}
         with write_scores(output, source.types, metadata | said_of_log(source.about), how.dtype, **options) as sink:
             run.all(source, sink)
@@ -176,22 +178,21 @@ class _Unusable:
 class Run:
     """Scores and writes every batch, and keeps what there is to say at the end."""
 
-    def __init__(self, answer: Callable[[StateBatch], _Answered], scorer: Scorer, strict: bool, progress: bool):
-        self._answer, self._scorer, self._strict = answer, scorer, strict
-        self._hidden = None if progress else True  # None: where stderr is no terminal
+    def __init__(self, answer: Callable[[StateBatch], _Answered], scorer: Scorer, strict: bool, alone: bool):
+        self._answer, self._scorer, self._strict, self._alone = answer, scorer, strict, alone
         self.summary = Summary()
         self.seconds, self.compiled = 0.0, 0.0
-        """Time spent scoring, and compiling [s]."""
+        """Time spent scoring, and compiling [s]; of one of many files both are in the first."""
         self._states, self._contacts = _Unusable("the states"), _Unusable("the contacts")
         self._plausible = Plausibility()
 
     def all(self, source: StateFile, sink: ScoreWriter) -> None:
         """Scores a file. Raises InputError for what is hardly plausible, if that is asked for."""
-        widest = -1
-        with tqdm(total=source.rows, unit=" states", unit_scale=True, disable=self._hidden) as bar:
+        widest, hidden = -1, None if self._alone else True  # None: where stderr is no terminal
+        with tqdm(total=source.rows, unit=" states", unit_scale=True, disable=hidden) as bar:
             for batch in source:
                 width = batch.contacts.mask.shape[1] if isinstance(batch.contacts, RowContacts) else 0
-                if width > widest:  # compiles, by scoring states that are soon done with
+                if self._alone and width > widest:  # compiles, by scoring states that are soon done with
                     widest = width
                     self.compiled += self._answer(batch._replace(coms=np.full_like(batch.coms, np.nan))).seconds
                 self._look(batch)

@@ -12,22 +12,29 @@ from tqdm import tqdm
 
 from jaxcap.commands.robot_limits import Counted
 from jaxcap.commands.score_file import Settings, score_file
-from jaxcap.commands.summary import Counts, together
+from jaxcap.commands.summary import Counts, Quantiles, together
 from jaxcap.commands.where import Where, place_of
 from jaxcap.engine import Ledger, Place, Unit, open_ledger, over_units, shard_of
 from jaxcap.engine.ledger import hash_of
 from jaxcap.errors import InputError
 from jaxcap.files.columns import described_contacts
-from jaxcap.files.folders import Dataset, Part, dataset, is_glob
+from jaxcap.files.folders import SUFFIX, Cut, Dataset, Part, cut, dataset, is_glob
 from jaxcap.version import __version__
 
+MARGIN_BITS = 7
+"""Of the margins in a record: 64 values for each power of two, a few kilobytes a file."""
 NOTED = 20
 """Lines of notes, and of errors, that are printed at most."""
 
 
-def is_many(states: Path) -> bool:
-    """Whether states are a folder or a glob. A folder may be named like a Parquet file, as some writers do."""
-    return (states.is_dir() and states.suffix.lower() not in (".npz", ".csv")) or is_glob(states)
+def is_many(states: Path, output: Path) -> bool:
+    """Whether states are a folder or a glob, or one Parquet file that is scored into a folder.
+
+    A folder may be named like a Parquet file, as some writers do.
+    """
+    if states.is_dir():
+        return states.suffix.lower() not in (".npz", ".csv")
+    return is_glob(states) or (states.suffix.lower() == SUFFIX and (output.is_dir() or not output.suffix))
 
 
 @dataclass(frozen=True)
@@ -40,14 +47,15 @@ class Scoring:
     how: Settings
     known: Counted
 
-    def __call__(self, part: Part) -> dict[str, Any]:
-        """Scores the file, and returns the record of it."""
+    def __call__(self, part: Part | Cut) -> dict[str, Any]:
+        """Scores the file, or row groups of it, and returns the record of it."""
         target, said = self.ledger.folder / part.name, list[str]()
         target.parent.mkdir(parents=True, exist_ok=True)
         with jax.enable_x64(self.how.dtype == "float64"):
-            options: dict[str, Any] = {"force": True, "progress": False, "say": said.append}
-            run = score_file(self.folder / part.name, target, self.how, self.known, **options)
-        record = {"input": part._asdict(), "counts": run.summary.counts._asdict(), "notes": [*said, *run.notes()]}
+            options: dict[str, Any] = {"force": True, "alone": False, "say": said.append, "row_groups": part.row_groups}
+            run = score_file(self.folder / part.file, target, self.how, self.known, **options)
+        counts, margin = run.summary.counts._asdict(), run.summary.margin.histogram(MARGIN_BITS)
+        record = {"input": part._asdict(), "counts": counts, "margin": margin, "notes": [*said, *run.notes()]}
         self.ledger.write(part.name, record)
         return record
 
@@ -56,7 +64,7 @@ def score_folder(states: Path, output: Path, how: Settings, known: Counted, wher
     """Scores a dataset, and prints a summary.
 
     Args:
-        states: Folder or glob of Parquet files.
+        states: Folder or glob of Parquet files, or one, which is read by row groups.
         output: Folder for as many.
         how: The settings.
         known: What of the robot counts.
@@ -70,8 +78,8 @@ def score_folder(states: Path, output: Path, how: Settings, known: Counted, wher
     shard = shard_of(where.shard)
     if force and shard.of > 1:
         raise InputError(f"--shard {shard} (expected without --force: one part would undo what the others have done)")
-    files = dataset(states, known.mass)
-    if output.resolve().is_relative_to(files.folder.resolve()):
+    files = cut(states, known.mass) if states.is_file() else dataset(states, known.mass)
+    if not states.is_file() and output.resolve().is_relative_to(files.folder.resolve()):
         raise InputError(f"{output}: lies in {files.folder}, which is read (expected another folder)")
     with place_of(where) as place:
         settings = _settings(how, known, place)
@@ -121,7 +129,7 @@ def _scored(place: Place, work: Scoring, todo: list[Unit], rows: int, records: d
     failed = []
     done = rows - sum(unit.what.rows for unit in todo)
     with tqdm(total=rows, initial=done, unit=" states", unit_scale=True, disable=None) as bar:
-        for unit, record, error in over_units(place, work, todo):
+        for unit, record, error, _ in over_units(place, work, todo):
             bar.update(unit.what.rows)
             if error:
                 failed.append(unit)
@@ -143,10 +151,12 @@ def _tell(
     if len(notes) > NOTED:
         print(f"note: {len(notes) - NOTED} notes more, in the files' metadata", file=sys.stderr)
     counts = together(Counts(**records[name]["counts"]) for name in names)
-    print(counts.table())
+    margin = Quantiles.of((records[name]["margin"] for name in names), MARGIN_BITS)
+    print(f"{counts.table()}\n\n{margin.table(' (to within 0.8 %)')}")
     missing = len(files.parts) - len(names)
     rest = f", {missing} to come" if missing else ""
     print(f"\n{ledger.folder}: {len(names)} of {len(files.parts)} files{rest}{f' ({shard})' if shard else ''}")
     if not missing:
         summary = {"written_by": f"jaxcap {__version__}", "settings_sha256": hash_of(settings), "settings": settings}
-        ledger.summarise({**summary, "files": len(names), **counts._asdict(), "notes": len(notes)})
+        found = {"files": len(names), **counts._asdict(), "margin_quantiles": margin.named(), "notes": len(notes)}
+        ledger.summarise({**summary, **found})

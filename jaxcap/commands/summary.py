@@ -1,10 +1,11 @@
 """The closing table: counts of cases and statuses, quantiles of the margin, in memory that does not grow."""
 
-from collections.abc import Iterable
+import math
+from collections.abc import Iterable, Mapping
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from jaxcap.files.fields import CASES, STATUSES
 from jaxcap.one_state.result import Capturability
@@ -35,21 +36,48 @@ class Quantiles:
 
     A file of states may be larger than memory, and so may the margins of it. So the numbers are rounded to 12 bits, 2,048
     values for each power of two, and equal ones are kept once, with how many they are. Zero and infinities are exact, and
-    the order of the numbers does not matter.
+    the order of the numbers does not matter. bits: fewer where many of these are kept.
     """
 
-    BITS = 12
-
-    def __init__(self) -> None:
+    def __init__(self, bits: int = 12) -> None:
+        self._bits = bits
         self._values, self._weights = np.zeros(0), np.zeros(0, np.int64)
 
-    def add(self, values: Float[np.ndarray, " n"]) -> None:
-        """Takes these values as well."""
-        mantissa, exponent = np.frexp(values[~np.isnan(values)].astype(np.float64))
-        rounded = np.ldexp(np.rint(mantissa * (1 << self.BITS)), exponent - self.BITS)
+    def add(self, values: Float[np.ndarray, " n"], weights: Int[np.ndarray, " n"] | None = None) -> None:
+        """Takes these values as well. weights: how often each; by default once."""
+        weights = np.ones(len(values), np.int64) if weights is None else weights
+        known = ~np.isnan(values)
+        mantissa, exponent = np.frexp(values[known].astype(np.float64))
+        rounded = np.ldexp(np.rint(mantissa * (1 << self._bits)), exponent - self._bits)
         self._values, places = np.unique(np.concatenate([self._values, rounded]), return_inverse=True)
-        weights = np.concatenate([self._weights, np.ones(len(rounded), np.int64)])
+        weights = np.concatenate([self._weights, weights[known]])
         self._weights = np.bincount(places, weights, minlength=len(self._values)).astype(np.int64)
+
+    def histogram(self, bits: int) -> dict[str, list]:
+        """The numbers rounded to so many bits, and how many of each there are, as JSON can hold it."""
+        coarse = Quantiles(bits)
+        coarse.add(self._values, self._weights)
+        return {"values": [_plain(value) for value in coarse._values], "numbers": coarse._weights.tolist()}
+
+    @classmethod
+    def of(cls, histograms: Iterable[Mapping[str, list]], bits: int) -> "Quantiles":
+        """Of all numbers of these histograms."""
+        found, all_of_them = cls(bits), list(histograms)
+        values = [float(value) for one in all_of_them for value in one["values"]]
+        found.add(np.array(values), np.array([n for one in all_of_them for n in one["numbers"]], np.int64))
+        return found
+
+    def named(self) -> dict[str, float | str]:
+        """Each of QUANTILES by its share in percent, as JSON can hold it; none of no numbers."""
+        return {f"{share:.0%}": _plain(self(share)) for share in QUANTILES} if len(self) else {}
+
+    def table(self, words: str) -> str:
+        """Lines of text. words: about what they are."""
+        lines = [f"margin [m/s], of {len(self)} states{words}"]
+        if len(self):
+            lines += ["  " + "".join(f"{share:>10.0%}" for share in QUANTILES)]
+            lines += ["  " + "".join(f"{self(share):>10.3g}" for share in QUANTILES)]
+        return "\n".join(lines)
 
     def __len__(self) -> int:
         """How many numbers there were."""
@@ -61,6 +89,11 @@ class Quantiles:
             return float("nan")
         wanted = max(1, np.ceil(share * len(self)))
         return float(self._values[np.searchsorted(np.cumsum(self._weights), wanted)])
+
+
+def _plain(value: float) -> float | str:
+    """JSON knows no infinity."""
+    return float(value) if math.isfinite(value) else str(float(value))
 
 
 class Summary:
@@ -92,11 +125,7 @@ class Summary:
 
     def table(self) -> str:
         """Counts and quantiles, as lines of text."""
-        lines = [self.counts.table(), "", f"margin [m/s], of {len(self.margin)} states"]
-        if len(self.margin):
-            lines += ["  " + "".join(f"{share:>10.0%}" for share in QUANTILES)]
-            lines += ["  " + "".join(f"{self.margin(share):>10.3g}" for share in QUANTILES)]
-        return "\n".join(lines)
+        return f"{self.counts.table()}\n\n{self.margin.table('')}"
 
 
 class Counts(NamedTuple):

@@ -1,20 +1,19 @@
 """Where a job runs: options that commands share, and the place that they ask for. Importing this module needs tyro."""
 
 import dataclasses
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager
 from typing import Annotated
 
 import tyro
 
-from jaxcap.engine import Here, Place, processes, shard_of
-from jaxcap.errors import InputError, needs_extra
+from jaxcap.engine import Place, check_place, chosen, shard_of
 
 WHERE = """  All in this process, unless told otherwise:
     --jobs N        N processes of this machine, which share its cores
     --dask ADDRESS  the workers of a Dask scheduler, tcp://HOST:PORT: on any
                     machines that see the same files, each with --nthreads 1.
-                    local: a cluster of N workers on this machine
+                    local: a cluster of N workers on this machine, which ends
+                    with the command; --jobs alone does without Dask
     --shard I/N     every Nth part from the Ith, counted from 0: N commands in
                     any queue, in any order, make the whole. With a Slurm
                     array: --shard $SLURM_ARRAY_TASK_ID/64
@@ -46,22 +45,9 @@ class Where:
 def check_where(where: Where) -> None:
     """Raises InputError for options that cannot be used."""
     shard_of(where.shard)
-    if where.jobs < 1:
-        raise InputError(f"--jobs {where.jobs} (expected at least 1)")
-    if where.jobs > 1 and where.dask not in (None, "local"):
-        raise InputError(f"--jobs {where.jobs} (expected without --dask {where.dask}, which has its workers)")
+    check_place(where.dask, where.jobs)
 
 
-@contextmanager
-def place_of(where: Where) -> Iterator[Place]:
-    """The place, in a `with` block. Raises InputError and MissingExtra."""
-    if where.dask is not None:
-        with needs_extra("dask", "--dask"):
-            from jaxcap.engine.cluster import cluster
-        with cluster(where.dask, where.jobs) as place:
-            yield place
-    elif where.jobs > 1:
-        with processes(where.jobs) as place:
-            yield place
-    else:
-        yield Here()
+def place_of(where: Where) -> AbstractContextManager[Place]:
+    """The place, for a `with` block, which raises InputError and MissingExtra."""
+    return chosen(where.dask, where.jobs)

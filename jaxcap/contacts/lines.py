@@ -73,7 +73,7 @@ def parts(rays: Float[np.ndarray, "n d"], span: Float[np.ndarray, "s d"], opposi
         weights = _shortest(rest)
         length = np.linalg.norm(weights @ rest)
         if length > opposite:
-            return Parts(lines, pointed, _inside(rest[weights > 0]), zero)
+            return Parts(lines, pointed, _inside(rest, weights), zero)
         # A ray that takes part with weight w has its opposite in the cone, up to length / w.
         _, pointed = split(rest[weights > TAKES_PART * weights.max()] @ pointed, pointed, CLEAR)
         lines, pointed = _fitted(rays, span, pointed)
@@ -153,11 +153,15 @@ def _shortest(rays: Float[np.ndarray, "n d"]) -> Float[np.ndarray, " n"]:
     return weights / weights.sum()
 
 
-def _inside(rays: Float[np.ndarray, "k d"]) -> Float[np.ndarray, " d"]:
-    """Unit vector with the same product with these rays, which take part in the shortest combination.
+def _inside(rays: Float[np.ndarray, "n d"], weights: Float[np.ndarray, " n"]) -> Float[np.ndarray, " d"]:
+    """Unit vector with a positive product with every ray, from the weights of the shortest combination.
 
-    It is that combination's direction. Solved for anew: where rays nearly oppose each other the combination is a small
-    difference of large numbers, and its direction is known to few digits only.
+    It is that combination's direction. Solved for anew, from the rays that take part: where rays nearly oppose each other,
+    that is a small difference of large numbers, and its direction is known to few digits only. But weights that are zero
+    but for rounding let rays take part that are none of it, and the direction then stands away from others: so the
+    combination itself is taken where it is clearly farther from the nearest ray.
     """
-    direction = np.linalg.lstsq(rays, np.ones(len(rays)), rcond=1e-14)[0]
-    return direction / np.linalg.norm(direction)
+    taking_part = rays[weights > 0]
+    solved, combined = np.linalg.lstsq(taking_part, np.ones(len(taking_part)), rcond=1e-14)[0], weights @ rays
+    solved, combined = solved / np.linalg.norm(solved), combined / np.linalg.norm(combined)
+    return solved if 2 * (rays @ solved).min() > (rays @ combined).min() else combined

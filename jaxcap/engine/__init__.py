@@ -32,10 +32,12 @@ Kubernetes: dask-kubernetes makes a scheduler with an address. A worker's first 
 the programs are in its user's cache folder, or in `--cache DIR` on a disk that all share. `python -m bench.engine` measures
 what a unit costs, and how many bytes go in and out.
 
-Begin with `units`, then `places` (this machine), `cluster` (Dask), `shards` (parts), `ledger` (what of a folder is done),
-`workers` (what runs there). May import `files`.
+Begin with `units`, then `places` (this machine), `cluster` (Dask), `choice` (which), `shards` (parts), `ledger` (what of a
+folder is done), `workers` (what runs there). May import `files`.
 """
 
+from jaxcap.engine.choice import check_place as check_place
+from jaxcap.engine.choice import chosen as chosen
 from jaxcap.engine.ledger import Ledger as Ledger
 from jaxcap.engine.ledger import open_ledger as open_ledger
 from jaxcap.engine.places import Here as Here
@@ -45,4 +47,5 @@ from jaxcap.engine.shards import Shard as Shard
 from jaxcap.engine.shards import shard_of as shard_of
 from jaxcap.engine.units import Finished as Finished
 from jaxcap.engine.units import over_units as over_units
+from jaxcap.engine.workers import Terms as Terms
 from jaxcap.engine.workers import Unit as Unit

@@ -10,9 +10,10 @@ from typing import Any
 
 import jax
 from distributed import Client, LocalCluster
+from distributed.scheduler import KilledWorker
 
-from jaxcap.engine.places import LOOKAHEAD, Place
-from jaxcap.engine.workers import about_here, worded
+from jaxcap.engine.places import Place, begetting
+from jaxcap.engine.workers import Terms, worded
 from jaxcap.errors import InputError
 from jaxcap.version import __version__
 
@@ -25,12 +26,12 @@ FRESH = 2.0
 class Cluster(Place):
     """Workers of a Dask scheduler; they may come and go."""
 
-    def __init__(self, client: Client, words: str):
-        self.words, self._client = words, client
+    def __init__(self, client: Client, words: str, terms: Terms):
+        self.words, self._client, self.terms = words, client, terms
         self._executor = client.get_executor(pure=False)  # Dask would answer what it has failed at from memory
         self._seen = 0.0
         self._workers: dict[str, int] = {}
-        self._about = _alike(client, words)
+        self._about = _alike(client, words, terms.about)
 
     @property
     def about(self) -> dict[str, str]:
@@ -39,8 +40,8 @@ class Cluster(Place):
 
     @property
     def ahead(self) -> int:
-        """Twice as many as workers."""
-        return LOOKAHEAD * max(1, len(self._known()))
+        """A few for each worker."""
+        return self.terms.ahead * max(1, len(self._known()))
 
     def submit(self, avoid: Sequence[str], call: Callable, *arguments: Any) -> Future:
         """To any worker where it has not failed; where it has on all, to any."""
@@ -51,6 +52,10 @@ class Cluster(Place):
         except Exception as error:  # tornado's, Dask's or the system's, by the moment at which the connection broke
             raise InputError(f"{self.words}: lost: {error} (what is done stays done)") from error
 
+    def deaths(self, error: BaseException) -> str:
+        """Dask has given a unit to other workers until so many had died."""
+        return f"its process died on {error.allowed_failures + 1} workers" if isinstance(error, KilledWorker) else ""
+
     def _known(self) -> dict[str, int]:
         """Workers and their task threads, as of a moment ago."""
         if time.monotonic() - self._seen > FRESH:
@@ -60,27 +65,28 @@ class Cluster(Place):
 
 
 @contextmanager
-def cluster(address: str, jobs: int) -> Iterator[Cluster]:
+def cluster(address: str, jobs: int, terms: Terms = Terms()) -> Iterator[Cluster]:  # noqa: B008
     """A cluster, in a `with` block.
 
     Args:
         address: Of its scheduler, as tcp://host:8786; or "local", for one of this machine that lives as long as the block.
         jobs: Workers of a local one.
+        terms: What the job asks of workers. The environment and the niceness of those that others started are theirs.
 
     Raises:
         InputError: If the scheduler does not answer, or a worker has another version of jaxcap or JAX, another kind of
             device, or several task threads.
     """
     if address == "local":
-        with (
-            LocalCluster(n_workers=jobs, threads_per_worker=1, processes=True, dashboard_address=None) as local,
-            Client(local, set_as_default=False) as client,
-        ):
-            yield Cluster(client, f"{jobs} workers of a local cluster")
+        with begetting(terms.environment):  # a thread of Dask's begins here, and what it starts is spared Ctrl-C
+            options = {"n_workers": jobs, "threads_per_worker": 1, "env": dict(terms.environment)}
+            local = LocalCluster(dashboard_address=None, **options)
+        with local, Client(local, set_as_default=False) as client:
+            yield Cluster(client, f"{jobs} workers of a local cluster", terms)
         return
     client = _connected(address)
     try:
-        yield Cluster(client, f"scheduler {address}")
+        yield Cluster(client, f"scheduler {address}", terms)
     finally:
         client.close(timeout=ANSWERS)
 
@@ -92,7 +98,7 @@ def _connected(address: str) -> Client:
         raise InputError(f"--dask {address}: no scheduler answers there (expected tcp://HOST:PORT, or local)") from error
 
 
-def _alike(client: Client, words: str) -> dict[str, str]:
+def _alike(client: Client, words: str, find: Callable[[], dict[str, str]]) -> dict[str, str]:
     """What the workers are like. Raises InputError, naming one that is different."""
     while not (threads := _asked(client.nthreads, words)):
         print(f"note: {words} has no worker yet; waiting", file=sys.stderr)
@@ -107,7 +113,11 @@ def _alike(client: Client, words: str) -> dict[str, str]:
             if version != expected:
                 has = f"{name} {version}" if isinstance(version, str) else f"no {name}"
                 raise InputError(f"worker {worker} has {has} (expected {expected}, as here)")
-    abouts = _asked(lambda: client.run(about_here), words)
+    module = find.__module__
+    for worker, name in _asked(lambda: client.run(locate, f"{module}.__name__", on_error="return"), words).items():
+        if name != module:
+            raise InputError(f"worker {worker} has no {module} (expected on its PYTHONPATH, as here)")
+    abouts = _asked(lambda: client.run(find), words)
     (first, about), *others = abouts.items()
     for worker, other in others:
         if other != about:

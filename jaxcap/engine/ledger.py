@@ -41,14 +41,16 @@ class Ledger(NamedTuple):
         path = self._path(name)
         with write_errors_of(path):
             path.parent.mkdir(parents=True, exist_ok=True)
-        _written(path, record)
+        with whole_file(path, force=True, lasting=False) as handle:  # one that is lost costs doing its output again
+            handle.write(json.dumps(record).encode())
 
     def summarise(self, summary: Mapping[str, Any]) -> None:
         """All is done: writes the summary, and removes what processes that were killed have left."""
         for stray in self.folder.rglob(".jaxcap-*.tmp"):
             with suppress(OSError):
                 stray.unlink()
-        _written(self.folder / SUMMARY, summary)
+        with whole_file(self.folder / SUMMARY, force=True) as handle:
+            handle.write(json.dumps(summary, indent=1).encode())
 
     def _path(self, name: str) -> Path:
         return self.folder / OURS / DONE / f"{name}.json"
@@ -111,8 +113,3 @@ def _check(path: Path, settings: Mapping[str, Any]) -> None:
 def _short(value: Any) -> str:
     text = json.dumps(value)
     return text if len(text) <= 40 else f"{text[:37]}..."
-
-
-def _written(path: Path, document: Mapping[str, Any]) -> None:
-    with whole_file(path, force=True) as handle:
-        handle.write(json.dumps(document, indent=1).encode())

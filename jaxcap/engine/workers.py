@@ -8,6 +8,7 @@ import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from multiprocessing.connection import Connection
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import jax
@@ -42,13 +43,32 @@ def about_here() -> dict[str, str]:
     return {"jaxcap": __version__, "jax": jax.__version__, "backend": jax.default_backend()}
 
 
-def attempt(work: Callable[[Any], Any], unit: Unit, about: Mapping[str, str]) -> Attempt:
-    """Tries a unit once; what goes wrong is told, not raised. about: what this process has to be like, `about_here`."""
+class Terms(NamedTuple):
+    """What a job asks of those who work on it."""
+
+    about: Callable[[], dict[str, str]] = about_here
+    """Of a process: what answers depend on besides the settings. It is the same in all of them, or they are refused."""
+    ahead: int = 2
+    """Units that are handed over for each worker: one runs, the others are there when that ends."""
+    environment: Mapping[str, str] = MappingProxyType({})
+    """Of the processes that are started for the job, before they import anything."""
+    niceness: int = 0
+    """Of these processes."""
+
+
+class _Ended(SystemExit):
+    """This process was told to end."""
+
+
+def attempt(work: Callable[[Any], Any], unit: Unit, find: Callable[[], dict[str, str]], about: Mapping[str, str]) -> Attempt:
+    """Tries a unit once; what goes wrong is told, not raised. about: what `find`, of `Terms`, has to find here."""
     try:
-        here = about_here()
+        here = find()
         if here != about:
             raise InputError(f"worker {where()} has {worded(here)} (expected {worded(about)})")
         return Attempt(work(unit.what), "", where())
+    except _Ended as ended:  # the work has cleaned up; an executor would take this for an answer, and wait for more work
+        os._exit(ended.code if isinstance(ended.code, int) else 1)
     except Exception as error:
         told = str(error) if isinstance(error, InputError) else f"{type(error).__name__}: {error}"
         return Attempt(None, " ".join(told.split()) or type(error).__name__, where())
@@ -70,17 +90,22 @@ def where() -> str:
     return f"{socket.gethostname()}:{os.getpid()}"
 
 
-def set_up(places: Any, cores: Sequence[frozenset[int]], end: Connection) -> None:
+def set_up(places: Any, cores: Sequence[frozenset[int]], end: Connection, niceness: int) -> None:
     """Makes a new process a worker, before JAX begins to compute in it.
 
     Args:
         places: A shared number, of the workers that there are so far.
         cores: Those of each worker in turn; its threads are as many. Empty: the system decides.
         end: Closes when the parent wants an end, or has died.
+        niceness: See `Terms`.
     """
     os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group: the parent decides
+    if hasattr(signal, "pthread_sigmask"):
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})  # it was born with it blocked
     signal.signal(signal.SIGTERM, _unwind)
+    if niceness:
+        os.nice(niceness)
     with places.get_lock():
         place, places.value = places.value, places.value + 1
     if cores:
@@ -90,7 +115,7 @@ def set_up(places: Any, cores: Sequence[frozenset[int]], end: Connection) -> Non
 
 def _unwind(number: int, _frame: Any) -> None:
     """Temporary files are removed on the way out."""
-    raise SystemExit(128 + number)
+    raise _Ended(128 + number)
 
 
 def _end_with_parent(end: Connection) -> None:

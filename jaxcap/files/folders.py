@@ -1,15 +1,16 @@
-"""Datasets of many Parquet files: which there are, and whether they are alike."""
+"""Datasets of many Parquet files: which there are, and whether they are alike; and one large file, cut into parts."""
 
 import glob
 import hashlib
 import re
 from collections.abc import Iterator
+from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from jaxcap.errors import InputError
+from jaxcap.errors import InputError, needs_extra
 from jaxcap.files.records import read_states
 from jaxcap.files.state_file import StateFile
 
@@ -17,6 +18,8 @@ MAGIC = re.compile(r"[*?\[]")
 SUFFIX = ".parquet"
 TOLD = 10
 """Files that a message lists at most."""
+CUT_ROWS = 1 << 19
+"""Rows of a part of one file at most, unless a row group alone has more."""
 FOOTER_END = 8
 """Bytes after a Parquet file's footer: its length, and four letters."""
 
@@ -31,12 +34,41 @@ class Part(NamedTuple):
     footer: str
     """SHA-256 of the file's footer, where Parquet keeps sizes and bounds of every column: another file has another."""
 
+    @property
+    def file(self) -> str:
+        """Which file below the dataset's folder."""
+        return self.name
+
+    @property
+    def row_groups(self) -> range | None:
+        """Which of its row groups; None: all."""
+        return None
+
+
+class Cut(NamedTuple):
+    """Row groups of a file that follow each other."""
+
+    name: str
+    """Of what is made of them."""
+    file: str
+    first_group: int
+    groups: int
+    rows: int
+    bytes: int
+    """Of the whole file."""
+    footer: str
+
+    @property
+    def row_groups(self) -> range:
+        """Which row groups."""
+        return range(self.first_group, self.first_group + self.groups)
+
 
 class Dataset(NamedTuple):
-    """Files of states with the same columns."""
+    """Files of states with the same columns, or parts of one."""
 
     folder: Path
-    parts: tuple[Part, ...]
+    parts: tuple[Part, ...] | tuple[Cut, ...]
     """By name."""
 
 
@@ -81,6 +113,34 @@ def dataset(path: Path, mass: float | None) -> Dataset:
             f"{'; '.join(strange[:TOLD])}{more}"
         )
     return Dataset(folder, tuple(parts))
+
+
+def cut(path: Path, mass: float | None) -> Dataset:
+    """A Parquet file in parts of whole row groups, several small ones together: what is read by one at a time.
+
+    Args:
+        path: The file.
+        mass: As for `read_states`.
+
+    Raises:
+        InputError: As `read_states`.
+    """
+    with read_states(path, 1, np.float64, mass) as source, needs_extra("data", "reading Parquet"):
+        import pyarrow.parquet as pq
+
+        metadata = pq.read_metadata(path)
+        rows = [metadata.row_group(number).num_rows for number in range(metadata.num_row_groups)]
+    ends = [0]  # where a part begins
+    for number in range(1, len(rows)):
+        if sum(rows[ends[-1] : number + 1]) > CUT_ROWS:
+            ends.append(number)
+    width, about = max(5, len(str(len(ends)))), (path.stat().st_size, _footer(path))
+    spans = enumerate(pairwise([*ends, len(rows)]))
+    parts = [
+        Cut(f"part-{i:0{width}}{SUFFIX}", path.name, first, end - first, sum(rows[first:end]), *about)
+        for i, (first, end) in spans
+    ]
+    return Dataset(source.path.parent, tuple(parts))
 
 
 def _found(path: Path) -> tuple[Path, list[Path]]:

@@ -3,15 +3,17 @@
 import base64
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
+from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
+from numpy.typing import DTypeLike
 
-from jaxcap.files.arrow_columns import arrow_field, to_arrow
+from jaxcap.files.arrow_columns import arrow_field, is_list, to_arrow
 from jaxcap.files.arrow_states import ArrowStates, readable
-from jaxcap.files.columns import to_json
+from jaxcap.files.columns import VECTORS, to_json
 from jaxcap.files.fields import NAMES
 
 READ_AHEAD = 1 << 20
@@ -22,9 +24,15 @@ ROW_GROUP = 1 << 16
 
 
 class ParquetStates(ArrowStates):
-    """An open Parquet file of states."""
+    """An open Parquet file of states; or some of its row groups, as if they were all."""
 
     format = "Parquet"
+
+    def __init__(
+        self, path: Path, batch_size: int, dtype: DTypeLike, mass: float | None = None, row_groups: range | None = None
+    ):
+        self._row_groups = row_groups
+        super().__init__(path, batch_size, dtype, mass)
 
     def _opened(self) -> pq.ParquetFile:
         with readable(self.path, self.format):
@@ -32,10 +40,14 @@ class ParquetStates(ArrowStates):
             return pq.ParquetFile(self.path, pre_buffer=False, buffer_size=READ_AHEAD, page_checksum_verification=True)
 
     def _header(self) -> tuple[pa.Schema, int]:
-        return self._file.schema_arrow, self._file.metadata.num_rows
+        rows = self._file.metadata.num_rows
+        if self._row_groups is not None:
+            rows = sum(self._file.metadata.row_group(number).num_rows for number in self._row_groups)
+        return self._file.schema_arrow, rows
 
     def _batches(self) -> Iterable[pa.RecordBatch]:
-        return self._file.iter_batches(self.batch_size)
+        groups = None if self._row_groups is None else list(self._row_groups)
+        return self._file.iter_batches(self.batch_size, row_groups=groups)
 
 
 class ParquetWriter:
@@ -61,7 +73,10 @@ class ParquetWriter:
         self._metadata, self._about = metadata, about
         self._schema = pa.schema(fields)
         self._waiting: list[pa.Table] = []
-        self._writer = pq.ParquetWriter(handle, self._schema, store_schema=False)  # `finish` stores it
+        others = [field for field in self._schema if not _is_figure(field, metadata)]
+        # To look for figures that occur twice, where hardly any do, would take most of the time, and space too
+        repeated = [leaf for field in others for leaf in _leaves(field.name, field.type)]
+        self._writer = pq.ParquetWriter(handle, self._schema, use_dictionary=repeated, store_schema=False)
 
     def write(self, columns: Mapping[str, Any]) -> None:
         """Appends rows. columns: one array for each of `types`, all with the same number of rows."""
@@ -92,6 +107,23 @@ class ParquetWriter:
         """Lets go of the handle; what was written is of no use."""
         with suppress(Exception):  # the footer may meet the same full disk
             self._writer.close()
+
+
+def _is_figure(field: pa.Field, metadata: Mapping[str, Any]) -> bool:
+    """Whether it is part of a state, or a figure of the answer: floats that differ from row to row."""
+    kind = field.type.value_type if is_list(field.type) else field.type
+    ours = field.name in metadata["units"] or field.name in VECTORS or field.name[:-2] in VECTORS
+    return ours and pa.types.is_floating(kind)
+
+
+def _leaves(name: str, kind: pa.DataType) -> list[str]:
+    """The Parquet columns that a column becomes."""
+    if pa.types.is_struct(kind):
+        return [leaf for field in kind for leaf in _leaves(f"{name}.{field.name}", field.type)]
+    if pa.types.is_map(kind):
+        parts = (("key", kind.key_type), ("value", kind.item_type))
+        return [leaf for part, inner in parts for leaf in _leaves(f"{name}.key_value.{part}", inner)]
+    return _leaves(f"{name}.list.element", kind.value_type) if is_list(kind) else [name]
 
 
 def _about(name: str, metadata: Mapping[str, Any]) -> dict[str, str] | None:

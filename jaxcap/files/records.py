@@ -27,7 +27,13 @@ READABLE = (".parquet", ".npz", ".csv")
 """Extensions of files of states."""
 
 
-def read_states(path: str | Path, batch_size: int, dtype: DTypeLike = np.float32, mass: float | None = None) -> StateFile:
+def read_states(
+    path: str | Path,
+    batch_size: int,
+    dtype: DTypeLike = np.float32,
+    mass: float | None = None,
+    row_groups: range | None = None,
+) -> StateFile:
     """Opens a file of states, and checks what can be checked without reading its rows.
 
     The file has the columns `com` [m] and `com_velocity` [m/s]: three floats or integers a row (Parquet: lists; NPZ: arrays
@@ -46,6 +52,7 @@ def read_states(path: str | Path, batch_size: int, dtype: DTypeLike = np.float32
         batch_size: Rows at a time, > 0.
         dtype: float32 or float64, of the vectors and contacts.
         mass: Of the robot, > 0 [kg].
+        row_groups: Those of a Parquet file that are read, from 0; None: all.
 
     Returns:
         An open file, to be used in a `with` block: see `StateFile`. Memory does not grow with the file.
@@ -66,14 +73,13 @@ def read_states(path: str | Path, batch_size: int, dtype: DTypeLike = np.float32
         raise InputError(f"{path}: {'not a file' if path.exists() else 'no such file'}")
     if extension == ".npz":
         return NpzStates(path, batch_size, np.dtype(dtype), mass)
-    kind: type[StateFile]
     if extension == ".csv":
         with needs_extra("data", "reading CSV"):
-            from jaxcap.files.csv import CsvStates as kind
-    else:
-        with needs_extra("data", "reading Parquet"):
-            from jaxcap.files.parquet import ParquetStates as kind
-    return kind(path, batch_size, np.dtype(dtype), mass)
+            from jaxcap.files.csv import CsvStates
+        return CsvStates(path, batch_size, np.dtype(dtype), mass)
+    with needs_extra("data", "reading Parquet"):
+        from jaxcap.files.parquet import ParquetStates
+    return ParquetStates(path, batch_size, np.dtype(dtype), mass, row_groups)
 
 
 class ScoreWriter:

@@ -60,12 +60,13 @@ def extension_of(path: Path, extensions: tuple[str, ...] = EXTENSIONS) -> str:
 
 
 @contextmanager
-def whole_file(path: Path, *, force: bool) -> Iterator[BinaryIO]:
+def whole_file(path: Path, *, force: bool, lasting: bool = True) -> Iterator[BinaryIO]:
     """A new file under a temporary name, which takes the name `path` when the block ends without an error.
 
     Args:
         path: Where the file goes; a link stays a link.
         force: Replace a file that is there.
+        lasting: Through a power cut, after which the file may else be lost, or empty. It costs a few milliseconds.
 
     Raises:
         InputError: For an error of the file system, a full disk for one. The temporary file is removed.
@@ -77,10 +78,12 @@ def whole_file(path: Path, *, force: bool) -> Iterator[BinaryIO]:
             with open(temporary, "xb") as handle:
                 yield handle
                 handle.flush()
-                os.fsync(handle.fileno())
+                if lasting:
+                    os.fsync(handle.fileno())
             refuse_late_comer(path, force)
             os.replace(temporary, target)
-            _sync(target.parent)
+            if lasting:
+                _sync(target.parent)
         finally:
             with suppress(OSError):
                 temporary.unlink()

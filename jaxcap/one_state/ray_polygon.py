@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int, Shaped
 
 from jaxcap.contacts.cone import ConeRays
 from jaxcap.numerics import simplex
@@ -77,6 +77,8 @@ class RayPolygon(NamedTuple):
     """Of the smallest acceleration at alpha = 0, or of a place nearby."""
     outcome: Int[Array, "*n"] | None = None
     """How the search for that basis ended; None where it is that of a place nearby, from where a search may begin."""
+    contact: Int[Array, "r *#n"] | None = None
+    """`ConeRays.contact`."""
 
     @property
     def ready(self) -> Basis:
@@ -153,6 +155,15 @@ class RayPolygon(NamedTuple):
         """The lower boundary, as `Producer` has it."""
         return _boundary(self, *jax.lax.stop_gradient((limit.astype(self.fall.dtype), enough)), rising, most)
 
+    def jiggled(self) -> Float[Array, "6 r *#n"]:
+        """The rays of contacts that are moved a little, each in a direction of its own: no two of them tie."""
+        assert self.contact is not None, "asked only where it is known"
+        turns = jnp.array([12.9898, 78.233, 37.719], self.rays.dtype)  # any numbers without a common measure
+        apart = jnp.sin(turns.reshape(3, *[1] * self.contact.ndim) * (1 + self.contact.astype(self.rays.dtype)))
+        forces, torques = self.rays[:3], self.rays[3:]
+        far = tolerances(self.rays.dtype).slack ** 0.5
+        return jnp.concatenate([forces, torques + far * jnp.cross(apart, forces, axis=0)])
+
     def at_start(self) -> Program:
         """The program of the smallest acceleration at alpha = 0, (25); the free variable is the acceleration less `fall`."""
         return Program(self.rays, -self.forward, self.falling.target, self.falling.scale)
@@ -176,8 +187,7 @@ def ray_polygon(
     bounds = tolerances(com.dtype)
     line = wrench_line(rays.origin, rays.length, com, along, gravity, spin)
     scaled = lambda wrench: jnp.concatenate([wrench[:3], wrench[3:] / line.length])
-    columns = jnp.swapaxes(jnp.asarray(rays.rays, com.dtype), 0, 1)
-    columns = columns.reshape(*columns.shape, *[1] * (com.ndim + 1 - columns.ndim))  # one set for all lanes
+    columns = _beside(jnp.swapaxes(jnp.asarray(rays.rays, com.dtype), 0, 1), com.ndim + 1)
     columns = jax.lax.optimization_barrier(scaled(columns))
     into = simplex.mixture(columns)
 
@@ -197,7 +207,13 @@ def ray_polygon(
         fall=line.fall,
         line=line,
         size=line.length * line.remoteness,
+        contact=None if rays.contact is None else _beside(jnp.asarray(rays.contact), com.ndim),
     )
+
+
+def _beside(rows: Shaped[Array, "..."], dimensions: int) -> Shaped[Array, "..."]:
+    """What there is once for all lanes, with an axis of one for each of theirs."""
+    return rows.reshape(*rows.shape, *[1] * (dimensions - rows.ndim))
 
 
 def _solved(polygon: RayPolygon, near: Bases | None) -> tuple[Solution, Solution, Solution]:
@@ -374,4 +390,31 @@ def _boundary_jvp(rising, most, primals, tangents):
         return jax.jvp(figures, (polygon,), (change,))[1]
 
     lines, walls = jax.lax.map(of_piece, (indices, found.pieces.right > found.pieces.left))
-    return found, moved(found, lines, jnp.sum(jnp.where(final, walls, 0), axis=0))
+    return found, moved(found, lines, _wall_moved(polygon, change, found, jnp.sum(jnp.where(final, walls, 0), axis=0)))
+
+
+def _wall_moved(polygon: RayPolygon, change: RayPolygon, found: Boundary, by_last: Float[Array, "*n"]) -> Float[Array, "*n"]:
+    """How the polygon's right end moves, as the contacts do; `by_last`: as the basis of the last line has it.
+
+    Where contacts are coplanar, several bases meet the end, and each of them moves in its own way with the points, also
+    where the end itself has one derivative only. That of the contacts moved a little, each its own way, is the right one.
+    """
+    if polygon.contact is None:
+        return by_last
+    ending = found.ending == End.POLYGON
+    apart = _wall(polygon._replace(rays=polygon.jiggled()))
+    begin = simplex.freed(apart, simplex.identity(polygon.fall.shape, polygon.fall.dtype))
+    solution = simplex.solve(apart, begin, ending)
+    basis = simplex.factorised(_wall(polygon), solution.basis.chosen)
+    place = lambda polygon: -_place(polygon._replace(rays=_wall(polygon).rays), 1, basis)
+    at, moves = jax.jvp(place, (polygon,), (change,))
+    # Not where they have another end: what is flat is not, when its contacts are moved.
+    there = jnp.abs(at - jnp.where(ending, found.end, 0)) <= tolerances(at.dtype).same_alpha * polygon.size
+    return jnp.where(ending & there & (solution.outcome == Outcome.OPTIMAL), moves, by_last)
+
+
+def _wall(polygon: RayPolygon) -> Program:
+    """The program of the polygon's right end: the largest alpha, at any acceleration."""
+    rays = jnp.broadcast_to(polygon.rays, (*polygon.rays.shape[:2], *polygon.fall.shape))
+    way = jnp.broadcast_to(polygon.per_acceleration[:, None], (6, 1, *polygon.fall.shape))
+    return polygon.standing(1)._replace(rays=jnp.concatenate([rays, way, -way], axis=1))

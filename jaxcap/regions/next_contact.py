@@ -292,7 +292,7 @@ def _sets(
     if actuation is not None and (not actuation.batched or len(actuation.limit) != m):
         rows = len(actuation.limit) if actuation.batched else 1
         raise TypeError(f"actuation is of {rows} postures (expected a batch, one for each of {m} candidates)")
-    return _Sets(cones, ConeRays(*(leaf[-1] for leaf in cones)), gravity, actuation)
+    return _Sets(cones, jax.tree.map(lambda leaf: leaf[-1], cones), gravity, actuation)
 
 
 def _rays_of(contacts: ContactSet, sides: int) -> ConeRays:
@@ -301,7 +301,7 @@ def _rays_of(contacts: ContactSet, sides: int) -> ConeRays:
     """
     leaves = jax.tree.leaves(contacts)
     if sum(leaf.nbytes for leaf in leaves) > MOST_KEPT:
-        return ConeRays(*map(np.asarray, cone_rays(contacts, sides)))
+        return jax.tree.map(np.asarray, cone_rays(contacts, sides))
     fields = tuple(_Field(leaf.tobytes(), leaf.shape, leaf.dtype.str) for leaf in leaves)
     return _kept_rays(fields, sides, bool(jax.config.jax_enable_x64))  # type: ignore[attr-defined]
 
@@ -310,7 +310,7 @@ def _rays_of(contacts: ContactSet, sides: int) -> ConeRays:
 def _kept_rays(fields: tuple[_Field, ...], sides: int, x64: bool) -> ConeRays:
     """x64: the precision in which JAX makes them now."""
     leaves = (np.frombuffer(field.data, field.dtype).reshape(field.shape) for field in fields)
-    return ConeRays(*map(np.asarray, cone_rays(ContactSet.unchecked(*leaves), sides)))
+    return jax.tree.map(np.asarray, cone_rays(ContactSet.unchecked(*leaves), sides))
 
 
 def _stacked(candidates: Any) -> ContactSet:

@@ -49,8 +49,9 @@ def support_distance(
         support = support_polygon(support, gravity)
     if isinstance(support, SupportPolygon):
         return support.distance(points)
-    support = ConeRays(*(x if x.dtype == bool else x.astype(points.dtype) for x in map(jnp.asarray, support)))
-    return _distances(_to_rays, "rays", support, support.batched, points, gravity)
+    real = lambda leaf: leaf.astype(points.dtype) if jnp.issubdtype(leaf.dtype, jnp.floating) else leaf
+    rays: ConeRays = jax.tree.map(lambda leaf: real(jnp.asarray(leaf)), support)
+    return _distances(_to_rays, "rays", rays, rays.batched, points, gravity)
 
 
 def hull_distance(contacts: ContactSet, points: Num[FloatArray, "*n 2"], gravity: ArrayLike = GRAVITY) -> Float[Array, "*n"]:

@@ -3,44 +3,53 @@
 A campaign's file holds samples 0 to N-1. Interrupt it as you like, Ctrl-C or SIGKILL: results go to a journal beside the
 file as they come, and the same command resumes; the file is the same to the byte as that of an uninterrupted run. A file
 that is there already is continued if it has the same settings and fewer samples.
+
+Samples are units of `jaxcap.engine`, which knows nothing of robots: they run on processes of this machine, on the workers
+of a Dask scheduler (--dask; each with one thread, and this folder on its PYTHONPATH), or in shards, commands of their own in
+any queue (--shard 0/64 to 63/64). The shard that ends last writes the file; so does the command without --shard, which does
+what is missing.
 """
 
 from __future__ import annotations
 
 import argparse
 import contextlib
-import hashlib
 import itertools
 import json
 import signal
 import sys
 import time
 from collections import Counter
-from collections.abc import Callable
-from importlib.metadata import version
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from reference.extras import extra
 
 with extra("sim", __name__):
     from tqdm import tqdm
 
-    from reference.tsid.journal import Busy, Journal
-    from reference.tsid.labels import BEST_OF_FOUR, Row, Settings, labeller, toolbox
-    from reference.tsid.robot import entries_of, load
+    from jaxcap.engine import Finished, Place, Shard, Terms, Unit, check_place, chosen, over_units, shard_of
+    from jaxcap.errors import InputError, MissingExtra
+    from reference.tsid.journal import Busy
+    from reference.tsid.labelling import ONE_CORE, THREADS, about, labelling, robot_hash, versions
+    from reference.tsid.labels import BEST_OF_FOUR, Row, Settings, toolbox
+    from reference.tsid.progress import Journals, Progress, Refused, known
+    from reference.tsid.robot import configuration, load
     from reference.tsid.sampling import DISTRIBUTION, SCENARIOS
-    from reference.tsid.table import Unreadable, read, write
-    from reference.tsid.workers import Died, answers
-
-LIBRARIES = ("numpy", "scipy", "pin", "coal", "example-robot-data", "daqp", "proxsuite", "numba", "pyarrow")
+    from reference.tsid.table import Unreadable, write
 
 STATES = 10_000
 """Rows that hold q and v, unless told otherwise."""
 
+TERMS = Terms(about, ahead=1, environment=ONE_CORE, niceness=10)
+"""What a campaign asks of workers."""
 
-class Refused(Exception):
-    """The campaign cannot run as asked; nothing was touched."""
+TRIES = 2
+"""How often a sample is tried: a kill from outside hits it once, a crash of its own again."""
+
+TOLD = 5
+"""Samples that could not be labelled of which a line is printed."""
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -49,7 +58,7 @@ def main(arguments: list[str] | None = None) -> int:
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # a scheduler's request to end is a Ctrl-C
     try:
         return _run(options)
-    except (Refused, Busy, Unreadable, OSError) as error:
+    except (Refused, Busy, Unreadable, InputError, MissingExtra, OSError) as error:
         print(f"campaign: {error}", file=sys.stderr)
         return 1
 
@@ -61,6 +70,8 @@ def _parse(arguments: list[str] | None) -> argparse.Namespace:
     add("--samples", type=_positive(int), required=True, metavar="N", help="samples 0 to N-1")
     add("-o", "--output", type=Path, required=True, metavar="FILE.parquet")
     add("--jobs", type=_positive(int), default=1, metavar="J", help="processes, one core each (default: 1)")
+    add("--dask", metavar="ADDRESS", help="scheduler whose workers simulate, tcp://HOST:PORT; local: J workers of its own")
+    add("--shard", metavar="I/N", help="every Nth sample from the Ith, from 0; the last shard to end writes the file")
     add("--seed", type=_seed, default=0)
     add("--robot", default="talos", help="a name in reference/tsid/robots, or a TOML file (default: talos)")
     add("--controllers", nargs="+", default=BEST_OF_FOUR, metavar="NAME", help=f"default: {' '.join(BEST_OF_FOUR)}")
@@ -109,11 +120,10 @@ def settings_of(options: argparse.Namespace) -> Settings:
             tools.simulator(robot, tools.configurations[name], tools.options(**values))
     except ValueError as error:
         raise Refused(str(error)) from error
-    entries = entries_of(options.robot)
     return Settings(
         scenario=options.scenario,
         robot=robot.name,
-        robot_hash=hashlib.sha256(json.dumps(entries, sort_keys=True).encode()).hexdigest(),
+        robot_hash=robot_hash(options.robot),
         seed=options.seed,
         zero_momentum=options.zero_momentum,
         controllers=tuple(options.controllers),
@@ -141,116 +151,126 @@ def _simulator_options(defaults, assignments: list[str]) -> dict[str, Any]:
     return values
 
 
-class Progress(NamedTuple):
-    """What is known of a campaign's rows."""
-
-    rows: dict[int, Row]
-    """By index, from file and journal."""
-    written: int
-    """How many of them the file holds: 0 to written - 1."""
-    versions: list[dict[str, str]]
-    """Of the libraries that made the rows; more than one entry if they changed in between."""
-
-
 def _run(options: argparse.Namespace) -> int:
+    shard = shard_of(options.shard)
+    check_place(options.dask, options.jobs)
     settings = settings_of(options)
-    with Journal(options.output.with_name(f"{options.output.name}.journal")) as journal:
+    with Journals(options.output, shard) as journals:
         try:
-            progress = _known(options.output, journal, settings)
-        except (Refused, Unreadable):
-            if not journal.records:
-                journal.remove()
-            raise
-        if progress.written >= options.samples:
-            print(f"{options.output}: complete, {progress.written} samples ({options.samples} asked for)")
-            if not any(index >= progress.written for index in progress.rows):
-                journal.remove()
-            return 0
-        try:
-            _simulate(options, settings, journal, progress)
+            progress = known(options.output, journals, settings)
+            if progress.written >= options.samples:
+                return _complete(options, journals, progress)
+            failed = _simulate(options, settings, shard, journals, progress)
         except KeyboardInterrupt:
-            kept = f"{len(progress.rows)} of {options.samples} samples are kept in {journal.path.name}"
-            print(f"\ninterrupted: {kept}; the same command resumes", file=sys.stderr)
+            mine = shard.part(list(range(options.samples)))
+            kept = sum(index in progress.rows for index in mine)
+            told = f"{kept} of {len(mine)} samples are kept in {journals.own.path.name}"
+            print(f"\ninterrupted: {told}; the same command resumes", file=sys.stderr)
             return 130
-        return _finish(options, settings, journal, progress)
+        except (Refused, Unreadable, InputError, MissingExtra):
+            journals.leave()
+            raise
+        if shard.of > 1:  # others may have ended by now
+            journals.own.sync()
+            progress = known(options.output, journals, settings)
+        return _finish(options, settings, shard, journals, progress, failed)
 
 
-def _known(output: Path, journal: Journal, settings: Settings) -> Progress:
-    """Rows from an earlier run. Raises Refused naming what differs if that had other settings."""
-    rows: dict[int, Row] = {}
-    versions: list[dict[str, str]] = []
-    written = 0
-    if output.exists():
-        found, versions, old = read(output)
-        _compare(output, found, settings)
-        rows, written = {row["index"]: row for row in old}, len(old)
-    for record in journal.records:
-        if "settings" in record:
-            _compare(journal.path, record["settings"], settings)
-            versions += [record["versions"]] if record["versions"] not in versions else []
-        else:
-            rows[record["index"]] = record
-    return Progress(rows, written, versions)
+def _complete(options: argparse.Namespace, journals: Journals, progress: Progress) -> int:
+    print(f"{options.output}: complete, {progress.written} samples ({options.samples} asked for)")
+    if not any(index >= progress.written for index in progress.rows):
+        journals.remove()
+    return 0
 
 
-def _compare(path: Path, found: dict[str, Any], settings: Settings) -> None:
-    there, here = _flat(found), _flat(json.loads(json.dumps(settings._asdict())))
-    keys = [key for key in {**here, **there} if there.get(key) != here.get(key)]
-    if keys:
-        differences = "; ".join(f"{key} is {there.get(key)!r} there and {here.get(key)!r} now" for key in keys)
-        raise Refused(f"{path} was made with other settings: {differences}. Name another output, or move it away")
-
-
-def _flat(settings: dict[str, Any]) -> dict[str, Any]:
-    """Every value by its path."""
-    flat: dict[str, Any] = {}
-    for key, value in settings.items():
-        flat |= {f"{key}.{name}": inner for name, inner in value.items()} if isinstance(value, dict) else {key: value}
-    return flat
-
-
-def _simulate(options: argparse.Namespace, settings: Settings, journal: Journal, progress: Progress) -> None:
-    """Fill `progress` and the journal with what is missing, until done or out of time."""
+def _simulate(
+    options: argparse.Namespace, settings: Settings, shard: Shard, journals: Journals, progress: Progress
+) -> list[Finished]:
+    """Fill `progress` and the journal with what is missing, until done or out of time. Returns what could not be tried."""
     deadline = time.monotonic() + (options.budget or float("inf"))
-    missing = [index for index in range(options.samples) if index not in progress.rows]
+    part = shard.part(list(range(options.samples)))
+    missing = [index for index in part if index not in progress.rows]
     if not missing:
-        return
-    versions = {name: version(name) for name in LIBRARIES}
-    journal.append({"settings": settings._asdict(), "versions": versions})
-    if versions not in progress.versions:
-        progress.versions.append(versions)
-    questions = itertools.takewhile(lambda _: time.monotonic() < deadline, missing)
-    counts = Counter(_kind(progress.rows[i]) for i in range(options.samples) if i in progress.rows)
+        return []
+    failed = []
+    units = itertools.takewhile(lambda _: time.monotonic() < deadline, (Unit(index, index) for index in missing))
+    counts = Counter(_kind(progress.rows[index]) for index in part if index in progress.rows)
     interval = 0.5 if sys.stderr.isatty() else 30.0
     with (
-        contextlib.closing(answers(labeller, (settings, str(options.robot)), questions, options.jobs)) as results,
-        tqdm(total=options.samples, initial=options.samples - len(missing), unit="sample", mininterval=interval) as bar,
+        _place(options) as place,
+        tqdm(total=len(part), initial=len(part) - len(missing), unit="sample", mininterval=interval) as bar,
+        contextlib.closing(over_units(place, labelling(settings, _robot(options)), units, TRIES)) as results,
     ):
-        for index, answer in results:
-            row = {"index": index, "error": str(answer)} if isinstance(answer, Died) else answer
-            journal.append(row)
-            progress.rows[index] = row
+        journals.own.append({"settings": settings._asdict(), "versions": versions()})
+        progress.versions.extend([] if versions() in progress.versions else [versions()])
+        for one in results:
+            if one.error and not one.died:
+                failed.append(one)
+                continue
+            row: Row = {"index": one.unit.number, "error": one.error} if one.died else one.value
+            journals.own.append(row)
+            progress.rows[one.unit.number] = row
             counts[_kind(row)] += 1
             bar.set_postfix(counts, refresh=False)
             bar.update()
+    return failed
+
+
+@contextlib.contextmanager
+def _place(options: argparse.Namespace) -> Iterator[Place]:
+    """Where samples run. Raises Refused where that is not like here, InputError and MissingExtra."""
+    with chosen(options.dask, options.jobs, TERMS, apart=True) as place:
+        expected = about() | {THREADS: "1"}
+        for name, value in expected.items():
+            if (found := place.about.get(name)) != value:
+                raise Refused(f"{place.words}: {name} is {found} there (expected {value}, as here)")
+        yield place
+
+
+def _robot(options: argparse.Namespace) -> str:
+    """Its name, or its file, as it is found from any folder."""
+    return options.robot if not Path(options.robot).is_file() else str(configuration(options.robot).resolve())
 
 
 def _kind(row: Row) -> str:
     return "errors" if "error" in row else row.get("outcome", "done")
 
 
-def _finish(options: argparse.Namespace, settings: Settings, journal: Journal, progress: Progress) -> int:
-    """Write the file of the longest complete run of samples from 0, and delete the journal if that is all of it."""
+def _finish(
+    options: argparse.Namespace,
+    settings: Settings,
+    shard: Shard,
+    journals: Journals,
+    progress: Progress,
+    failed: list[Finished],
+) -> int:
+    """Write the file of the longest complete run of samples from 0, and delete the journals if that is all of it."""
     count = next(index for index in itertools.count() if index not in progress.rows or index == options.samples)
+    mine = shard.part(list(range(options.samples)))
+    if shard.of > 1 and count < options.samples:
+        done = sum(index in progress.rows for index in mine)
+        there = sum(index < options.samples for index in progress.rows)
+        print(f"{options.output}: shard {shard}, {done} of its {len(mine)} samples; {there} of all {options.samples}")
+        return _status(failed, done < len(mine))
     rows = [progress.rows[index] for index in range(count)]
     if count > progress.written:
         model = load(options.robot).model
         write(options.output, settings, progress.versions, rows, model.nq, model.nv)
     if all(index < count for index in progress.rows):
-        journal.remove()
+        journals.remove()
     summary = ", ".join(f"{number} {kind}" for kind, number in sorted(Counter(map(_kind, rows)).items()))
     print(f"{options.output}: {count} of {options.samples} samples ({summary})")
-    if count < options.samples:
+    return _status(failed, count < options.samples)
+
+
+def _status(failed: list[Finished], incomplete: bool) -> int:
+    """The exit status, and why."""
+    for one in failed[:TOLD]:
+        print(f"sample {one.unit.number} was not labelled: {one.error}", file=sys.stderr)
+    if failed:
+        print(f"{len(failed)} samples were not labelled; the same command tries again", file=sys.stderr)
+        return 1
+    if incomplete:
         print("out of time; the same command continues", file=sys.stderr)
         return 3
     return 0

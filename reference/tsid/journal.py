@@ -22,6 +22,14 @@ class Busy(Exception):
     """Another process holds the journal."""
 
 
+def records_of(path: Path) -> list[Any]:
+    """What a journal holds now, whoever writes it; nothing if there is none."""
+    try:
+        return _records(path.read_bytes())[0]
+    except FileNotFoundError:
+        return []
+
+
 class Journal:
     """An open journal, to be used in a `with` block; `records` holds what was in it when it was opened."""
 
@@ -46,11 +54,15 @@ class Journal:
         self._file.write(HEADER.pack(len(payload), zlib.crc32(payload)) + payload)
         self._file.flush()
 
+    def sync(self) -> None:
+        """Everybody sees what was appended, also from another machine."""
+        self._file.flush()
+        os.fsync(self._file.fileno())
+
     def close(self) -> None:
         """Leaves the file for a later run."""
         if not self._file.closed:
-            self._file.flush()
-            os.fsync(self._file.fileno())
+            self.sync()
             self._file.close()
 
     def remove(self) -> None:

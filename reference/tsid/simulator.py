@@ -92,6 +92,9 @@ class Run(NamedTuple):
 class Simulator:
     """Runs samples of one robot under one configuration of the controller. A run depends on its sample alone."""
 
+    controller: type[Controller] = Controller
+    """What makes the commands."""
+
     def __init__(self, robot: Robot, configuration: Configuration, options: Options = DEFAULT):
         if options.solver not in SOLVERS:
             raise ValueError(f"solver = {options.solver!r} (expected one of: {', '.join(SOLVERS)})")
@@ -105,7 +108,7 @@ class Simulator:
     def run(self, sample: Sample, trace: bool = False) -> Run:
         """Simulate a sample: v+ = v + dt a, q+ = q (+) dt v+, with the controller's a, until it is decided."""
         options, model = self.options, self.robot.model
-        controller = Controller(self.robot, self.configuration, sample, options.dt, options.stabilisation)
+        controller = self.controller(self.robot, self.configuration, sample, options.dt, options.stabilisation)
         solver = CertifiedSolver(options.solver)
         record = _Recorder(controller) if trace else None
         limit = round(options.time_limit / options.dt)

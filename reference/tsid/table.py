@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import json
 import os
+import secrets
 from pathlib import Path
 from typing import Any
 
@@ -79,7 +80,7 @@ def write(path: Path, settings: Settings, versions: list[dict[str, str]], rows: 
     leaves = _leaves(layout)
     encodings = {leaf: "BYTE_STREAM_SPLIT" for leaf in leaves if any(part in NOISY for part in leaf.split("."))}
     encodings["index"] = "DELTA_BINARY_PACKED"
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    temporary = path.with_name(f".{path.name}.{secrets.token_hex(8)}.tmp")  # two machines may end their shards at a time
     try:
         with open(temporary, "wb") as file:
             pq.write_table(
