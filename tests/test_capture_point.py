@@ -10,6 +10,7 @@ from scipy.spatial import ConvexHull
 from states import contact_set, stack
 
 import jaxcap
+from bench.fuzz_kinds import draw
 from jaxcap.regions.capture_point import height_above_contacts
 from jaxcap.regions.plane import across
 from reference.contacts import wrench_rays
@@ -360,3 +361,18 @@ def test_wrong_shapes_are_type_errors():
         jaxcap.support_distance(jaxcap.centroidal_cone(FEET), np.zeros(3))
     with pytest.raises(TypeError, match="rays 2 contact sets"):
         jaxcap.support_distance(jaxcap.cone_rays(stack([FEET] * 2)), np.zeros((3, 2)))
+
+
+def test_what_rays_do_not_find_faces_say():
+    """A pole, walls and palms, on which the programs of rays have no answer in single precision."""
+    sets = [draw(77, *which, 32) for which in ((65, "pole"), (79, "walls"), (197, "palms"))]
+    rays = rays_of([jaxcap.ContactSet(one.points, one.frames, one.friction).padded(8) for one in sets])
+    places = np.stack([one.coms[:, :2] for one in sets])
+    exact, found = (np.asarray(jaxcap.support_distance(rays, places.astype(dtype))) for dtype in (np.float64, np.float32))
+    traced = np.asarray(jax.jit(jaxcap.support_distance)(rays, places.astype(np.float32)))
+    assert np.isnan(traced).any() and not np.isnan(found).any()  # under jit there is no host to ask
+    stands = np.isfinite(exact)
+    np.testing.assert_array_equal(found[~stands], exact[~stands])
+    size = np.array([[np.abs(one.points).max()] for one in sets])
+    size = np.broadcast_to(size, exact.shape)[stands]
+    assert np.all(np.abs(found[stands] - exact[stands]) < 1e-4 * size)

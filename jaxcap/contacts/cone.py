@@ -158,8 +158,9 @@ class ConeRays(NamedTuple):
     """Centroid of the contact points [m]: a robot far from the world's origin is scored like one near it."""
     length: Float[FloatArray, "*batch"]
     """Distance of the farthest contact point from the origin [m], or 1 where all are at one place."""
-    contact: Int[FloatArray, "*batch r"] | None = None
-    """Which contact each ray is of. Only derivatives ask for it, where rays tie: they move together with their contact."""
+    sides: Int[FloatArray, "*batch"] | None = None
+    """How many rays each contact has, contact by contact; padding may follow. Only derivatives ask for it, where rays tie:
+    those of a contact move together."""
 
     @property
     def batched(self) -> bool:
@@ -192,9 +193,8 @@ def cone_rays(contacts: ContactSet, sides: int = 4) -> ConeRays:
     length = jnp.where(apart, jnp.sqrt(jnp.where(apart, square, 1)), 1)
     mask = jnp.repeat(local.mask, sides, axis=-1)
     rays = wrench_rays(local, sides, jnp.zeros_like(points[..., 0, :]))
-    count = points.shape[-2]
-    contact = jnp.broadcast_to(jnp.repeat(jnp.arange(count, dtype=jnp.int32), sides), mask.shape)
-    return ConeRays(rays=rays, mask=mask, origin=origin, length=length, contact=contact)
+    alike = jnp.full(length.shape, sides, jnp.int32)
+    return ConeRays(rays=rays, mask=mask, origin=origin, length=length, sides=alike)
 
 
 def centred(contacts: ContactSet) -> tuple[ContactSet, FloatArray]:

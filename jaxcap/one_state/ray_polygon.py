@@ -77,8 +77,8 @@ class RayPolygon(NamedTuple):
     """Of the smallest acceleration at alpha = 0, or of a place nearby."""
     outcome: Int[Array, "*n"] | None = None
     """How the search for that basis ended; None where it is that of a place nearby, from where a search may begin."""
-    contact: Int[Array, "r *#n"] | None = None
-    """`ConeRays.contact`."""
+    sides: Int[Array, "*#n"] | None = None
+    """`ConeRays.sides`."""
 
     @property
     def ready(self) -> Basis:
@@ -157,9 +157,10 @@ class RayPolygon(NamedTuple):
 
     def jiggled(self) -> Float[Array, "6 r *#n"]:
         """The rays of contacts that are moved a little, each in a direction of its own: no two of them tie."""
-        assert self.contact is not None, "asked only where it is known"
+        assert self.sides is not None, "asked only where they are known"
+        contact = jnp.arange(self.rays.shape[1]).reshape(-1, *[1] * self.fall.ndim) // self.sides
         turns = jnp.array([12.9898, 78.233, 37.719], self.rays.dtype)  # any numbers without a common measure
-        apart = jnp.sin(turns.reshape(3, *[1] * self.contact.ndim) * (1 + self.contact.astype(self.rays.dtype)))
+        apart = jnp.sin(turns.reshape(3, *[1] * contact.ndim) * (1 + contact.astype(self.rays.dtype)))
         forces, torques = self.rays[:3], self.rays[3:]
         far = tolerances(self.rays.dtype).slack ** 0.5
         return jnp.concatenate([forces, torques + far * jnp.cross(apart, forces, axis=0)])
@@ -207,7 +208,7 @@ def ray_polygon(
         fall=line.fall,
         line=line,
         size=line.length * line.remoteness,
-        contact=None if rays.contact is None else _beside(jnp.asarray(rays.contact), com.ndim),
+        sides=None if rays.sides is None else jnp.asarray(rays.sides),
     )
 
 
@@ -399,7 +400,7 @@ def _wall_moved(polygon: RayPolygon, change: RayPolygon, found: Boundary, by_las
     Where contacts are coplanar, several bases meet the end, and each of them moves in its own way with the points, also
     where the end itself has one derivative only. That of the contacts moved a little, each its own way, is the right one.
     """
-    if polygon.contact is None:
+    if polygon.sides is None:
         return by_last
     ending = found.ending == End.POLYGON
     apart = _wall(polygon._replace(rays=polygon.jiggled()))

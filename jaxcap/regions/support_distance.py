@@ -6,12 +6,15 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Num
 
 from jaxcap.batch.blocks import RAYS_BLOCK, Block, over_blocks, over_chunks
-from jaxcap.contacts.cone import CentroidalCone, ConeRays
+from jaxcap.batch.second_opinion import MOST
+from jaxcap.contacts.cone import CentroidalCone, ConeRays, projected
 from jaxcap.contacts.contact_set import ContactSet
 from jaxcap.contacts.conventions import GRAVITY, ArrayLike, FloatArray
+from jaxcap.contacts.projection import ProjectionError
 from jaxcap.regions.plane import Edge, across, column, first_edge, walk_around
 from jaxcap.regions.ray_support import nearest_of_rays
 from jaxcap.regions.support_polygon import SupportPolygon, support_polygon
@@ -37,7 +40,7 @@ def support_distance(
 
     Returns:
         (...,) [m]: infinite where the robot can stand everywhere, minus infinite where nowhere; NaN for a point or contacts
-        that are not finite, or where no answer was found.
+        that are not finite, or where no answer was found. What rays do not find is asked of faces, outside of jit.
 
     Raises:
         TypeError: for wrong shapes.
@@ -51,7 +54,30 @@ def support_distance(
         return support.distance(points)
     real = lambda leaf: leaf.astype(points.dtype) if jnp.issubdtype(leaf.dtype, jnp.floating) else leaf
     rays: ConeRays = jax.tree.map(lambda leaf: real(jnp.asarray(leaf)), support)
-    return _distances(_to_rays, "rays", rays, rays.batched, points, gravity)
+    found = _distances(_to_rays, "rays", rays, rays.batched, points, gravity)
+    if any(isinstance(leaf, jax.core.Tracer) for leaf in (found, points, *jax.tree.leaves(rays))):
+        return found
+    return _decided(support, points, gravity, found)
+
+
+def _decided(rays: ConeRays, points: Array, gravity: ArrayLike, found: Array) -> Array:
+    """The distances, those that rays do not find by faces, in double precision on the host, as `second_opinion` has it."""
+    missing = np.isnan(found) & np.isfinite(points).all(axis=-1)
+    if not missing.any():
+        return found
+    wrenches, origins, lengths = (np.asarray(field, float) for field in (rays.rays, rays.origin, rays.length))
+    answer = np.array(found)
+    for row in np.flatnonzero(missing.reshape(len(missing), -1).any(axis=1))[:MOST] if rays.batched else [...]:
+        if not np.isfinite(wrenches[row]).all():
+            continue
+        try:
+            cone = projected(wrenches[row], origins[row], np.asarray(lengths[row]))
+        except ProjectionError:
+            continue
+        with jax.enable_x64(True):
+            by_faces = support_polygon(cone, gravity).distance(jnp.asarray(points[row], float))
+        answer[row] = np.where(missing[row], by_faces, answer[row])
+    return jnp.asarray(answer)
 
 
 def hull_distance(contacts: ContactSet, points: Num[FloatArray, "*n 2"], gravity: ArrayLike = GRAVITY) -> Float[Array, "*n"]:
