@@ -18,7 +18,7 @@ from jaxcap.engine import Ledger, Place, Unit, open_ledger, over_units, shard_of
 from jaxcap.engine.ledger import hash_of
 from jaxcap.errors import InputError
 from jaxcap.files.columns import described_contacts
-from jaxcap.files.folders import SUFFIX, Cut, Dataset, Part, cut, dataset, is_glob
+from jaxcap.files.folders import SUFFIX, Dataset, Part, cut, dataset, is_glob
 from jaxcap.version import __version__
 
 MARGIN_BITS = 7
@@ -47,7 +47,7 @@ class Scoring:
     how: Settings
     known: Counted
 
-    def __call__(self, part: Part | Cut) -> dict[str, Any]:
+    def __call__(self, part: Part) -> dict[str, Any]:
         """Scores the file, or row groups of it, and returns the record of it."""
         target, said = self.ledger.folder / part.name, list[str]()
         target.parent.mkdir(parents=True, exist_ok=True)

@@ -25,50 +25,32 @@ FOOTER_END = 8
 
 
 class Part(NamedTuple):
-    """A file of the dataset."""
+    """One file of a dataset, or row groups of a large one that follow each other."""
 
     name: str
-    """Below the dataset's folder, with slashes."""
-    rows: int
-    bytes: int
-    footer: str
-    """SHA-256 of the file's footer, where Parquet keeps sizes and bounds of every column: another file has another."""
-
-    @property
-    def file(self) -> str:
-        """Which file below the dataset's folder."""
-        return self.name
-
-    @property
-    def row_groups(self) -> range | None:
-        """Which of its row groups; None: all."""
-        return None
-
-
-class Cut(NamedTuple):
-    """Row groups of a file that follow each other."""
-
-    name: str
-    """Of what is made of them."""
+    """Below the dataset's folder, of what is made of it; with slashes."""
     file: str
-    first_group: int
-    groups: int
+    """Which file below the dataset's folder."""
     rows: int
     bytes: int
     """Of the whole file."""
     footer: str
+    """SHA-256 of the file's footer, where Parquet keeps sizes and bounds of every column: another file has another."""
+    first_group: int = 0
+    groups: int | None = None
+    """How many row groups; None: all."""
 
     @property
-    def row_groups(self) -> range:
-        """Which row groups."""
-        return range(self.first_group, self.first_group + self.groups)
+    def row_groups(self) -> range | None:
+        """Which row groups; None: all."""
+        return None if self.groups is None else range(self.first_group, self.first_group + self.groups)
 
 
 class Dataset(NamedTuple):
     """Files of states with the same columns, or parts of one."""
 
     folder: Path
-    parts: tuple[Part, ...] | tuple[Cut, ...]
+    parts: tuple[Part, ...]
     """By name."""
 
 
@@ -103,7 +85,7 @@ def dataset(path: Path, mass: float | None) -> Dataset:
                 first = first or source
                 if other := _difference(first, source):
                     raise InputError(f"{file}: {other} (expected as in {first.path})")
-                parts.append(Part(name, source.rows, file.stat().st_size, _footer(file)))
+                parts.append(Part(name, name, source.rows, file.stat().st_size, _footer(file)))
         except InputError as error:
             strange.append(str(error).removeprefix(f"{folder}/"))
     if strange:
@@ -137,7 +119,7 @@ def cut(path: Path, mass: float | None) -> Dataset:
     width, about = max(5, len(str(len(ends)))), (path.stat().st_size, _footer(path))
     spans = enumerate(pairwise([*ends, len(rows)]))
     parts = [
-        Cut(f"part-{i:0{width}}{SUFFIX}", path.name, first, end - first, sum(rows[first:end]), *about)
+        Part(f"part-{i:0{width}}{SUFFIX}", path.name, sum(rows[first:end]), *about, first, end - first)
         for i, (first, end) in spans
     ]
     return Dataset(source.path.parent, tuple(parts))
