@@ -60,9 +60,9 @@ class DaskCluster:
         return process
 
 
-def until(true, process: subprocess.Popen | None = None) -> None:
+def until(true, process: subprocess.Popen | None = None, patience: float = PATIENCE) -> None:
     """Waits until something is true; fails if it takes too long, or if the process ends before."""
-    end = time.monotonic() + PATIENCE
+    end = time.monotonic() + patience
     while not true():
         assert time.monotonic() < end and (process is None or process.poll() is None)
         time.sleep(0.02)
@@ -70,8 +70,13 @@ def until(true, process: subprocess.Popen | None = None) -> None:
 
 def jaxcap(*arguments) -> subprocess.Popen:
     """The program, in a process of its own."""
+    return program("jaxcap.commands.cli", *arguments)
+
+
+def program(module: str, *arguments) -> subprocess.Popen:
+    """A module that is run, in a process of its own."""
     return subprocess.Popen(
-        [sys.executable, "-m", "jaxcap.commands.cli", *map(str, arguments)],
+        [sys.executable, "-m", module, *map(str, arguments)],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,

@@ -5,9 +5,8 @@
 200 files of 50,000 rows by default, float32, one contact set. Programs are compiled before, and kept in a folder that
 all share. Seconds are those of the whole command without starting Python; `of one file` is the throughput over that of
 the one file in one process, which uses all cores; `at work` the same from when every worker has done two files, so without
-their waiting for JAX to begin, which a longer job does not notice. Then a worker is killed at a third, and the scheduler at
-two thirds, and the command is given again: the bytes have to be those of one process. At the end, what 10^10 states on 64
-workers come to by these costs, on paper.
+their waiting for JAX to begin, which a longer job does not notice. At the end, what 10^10 states on 64 workers come to by
+these costs, on paper. What becomes of killed workers and schedulers: `python -m bench.dask_kills`.
 """
 
 import argparse
@@ -18,7 +17,7 @@ from typing import NamedTuple
 
 import pyarrow.parquet as pq
 
-from bench.dask_cluster import DaskCluster, jaxcap, kill, until
+from bench.dask_cluster import DaskCluster
 from bench.maps import CONTACTS
 from bench.memory import write_states
 from bench.process import in_process
@@ -110,33 +109,6 @@ def handing_over(folder: Path) -> float:
         return (time.perf_counter() - start) / EMPTY
 
 
-def survived(job: Job, files: int) -> str:
-    """What became of a job whose worker was killed at a third, and whose scheduler at two thirds."""
-    there = lambda: len(list((job.folder / "killed").glob("*.parquet")))
-    with DaskCluster(job.folder / "log", 2) as dask:
-        command = job.command("in", "killed", "--dask", dask.address)
-        run = jaxcap(*command)
-        until(lambda: there() >= files // 3, run)
-        kill(dask.workers[0])
-        until(lambda: there() >= 2 * files // 3, run)
-        kill(dask.scheduler)
-        run.communicate()
-        kept = there()
-        dask.start_scheduler()
-        dask.start_worker()  # the others have ended with their scheduler
-        again = jaxcap(*command)
-        _, error = again.communicate()
-        if again.returncode:
-            raise RuntimeError(error)
-    same = all(same_bytes(file, job.folder / "here" / file.name) for file in (job.folder / "killed").glob("*.parquet"))
-    return f"killed: {kept} of {files} files were kept, {there()} in the end, bytes {'the same' if same else 'DIFFERENT'}"
-
-
-def same_bytes(one: Path, other: Path) -> bool:
-    """Whether two files are the same."""
-    return one.read_bytes() == other.read_bytes()
-
-
 def on_paper(job: Job, files: int, alone: Line, unit: float) -> str:
     """What saturates first, by the costs measured."""
     size = lambda name: sum(file.stat().st_size for file in (job.folder / name).glob("*.parquet")) / job.states
@@ -177,7 +149,6 @@ def main() -> None:
             print(f"{line.what:<26}{line.seconds:>10.2f}{rate:>12.3g}{share:>13.2f}{later:>9}{memory:>10}")
         alone = next(line for line in lines if line.what == "Dask, 1 worker")
         print(on_paper(job, options.files, alone, handing_over(Path(name))))
-        print(survived(job, options.files))
 
 
 if __name__ == "__main__":

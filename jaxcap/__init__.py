@@ -30,6 +30,8 @@ from jaxcap.regions.capture_point import baselines as baselines
 from jaxcap.regions.capture_point import capture_point as capture_point
 from jaxcap.regions.com_area import ComArea as ComArea
 from jaxcap.regions.com_area import com_area as com_area
+from jaxcap.regions.limb_reach import LimbReach as LimbReach
+from jaxcap.regions.limb_reach import limb_reach as limb_reach
 from jaxcap.regions.next_contact import NextContacts as NextContacts
 from jaxcap.regions.next_contact import next_contacts as next_contacts
 from jaxcap.regions.robustness import Robustness as Robustness

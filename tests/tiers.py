@@ -87,7 +87,7 @@ QUICK: dict[str, tuple[str, ...]] = {
         "test_shards_make_the_whole[order0",
         "test_places_that_cannot_be_used",
     ),
-    "test_cli_next.py": ("test_what_cannot_be_is_named", "test_help"),
+    "test_cli_next.py": ("test_what_cannot_be_is_named", "test_one_delay_or_one_model", "test_help"),
     "test_contact_axes.py": (
         "test_a_level_set_with_its_own_friction_is_untouched",
         "test_defaults_lie_around_all_sets",
@@ -142,6 +142,7 @@ QUICK: dict[str, tuple[str, ...]] = {
         "test_a_missing_extra_says_what_to_install",
         "test_settings_are_json",
     ),
+    "test_limb_reach.py": ("",),
     "test_momentum_box.py": (
         "test_no_box_is_today_to_the_bit",
         "test_the_polyhedron_is_the_sum_of_cone_and_box",

@@ -1,6 +1,7 @@
 """`jaxcap next`: parse, call, write. Importing this module needs tyro (extra `cli`)."""
 
 import json
+import sys
 import time
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -10,10 +11,12 @@ import numpy as np
 import tyro
 
 from jaxcap.commands.compile_cache import compilation_cache
+from jaxcap.commands.limb_options import LimbOptions
 from jaxcap.contacts.contact_set import ContactSet
 from jaxcap.contacts.conventions import GRAVITY
 from jaxcap.contacts.surfaces import Candidates, candidates_on
 from jaxcap.errors import InputError
+from jaxcap.files.columns import MOMENTUM
 from jaxcap.files.contact_files import read_contacts
 from jaxcap.files.records import read_states
 from jaxcap.files.surface_files import read_surfaces
@@ -26,6 +29,8 @@ NEXT = """Find the next contact: where a hand or foot must go so that a robot st
 EXAMPLES
   jaxcap next pushed.parquet --contacts feet.yaml --surfaces room.yaml \\
       --delay 0.3 -o next.npz
+  jaxcap next pushed.parquet --contacts feet.yaml --surfaces room.yaml \\
+      --limb 0.2 0.3 0.9 --limb-speed 2 --reaction 0.1 -o next.npz
 
 WHAT IS ASKED
   Until the new contact bears, the robot brakes as hard as its present contacts
@@ -34,7 +39,13 @@ WHAT IS ASKED
   not help.
 
 STATES and CONTACTS are those of jaxcap score; one contact set for all states.
-  A column specific_angular_momentum counts, as it does there.
+  A column specific_angular_momentum counts, as it does there, and with --mass
+  a column angular_momentum.
+
+DELAY
+  One for all places (--delay), or for each its distance from --limb over
+  --limb-speed, after --reaction. With --limb-root and --limb-length, places
+  farther from hip or shoulder than that are out of reach.
 
 SURFACES is YAML (.yaml, .yml) or JSON (.json), in the frame of the contacts:
     surfaces:
@@ -67,6 +78,8 @@ OUT is NPZ (.npz), for n states and m places:
     centres         (m, 3)  of the places [m]
     normals         (m, 3)
     surface         (m,)    which surface of the file; a box counts as six
+    delay           (m,)    until a contact there bears [s]
+    reachable       (m,)    whether it is in reach
     best            (n,)    the best place of each state, -1 where none has one
     margin          (n, m)  with a contact there [m/s]; NaN where there is none
     margin_without  (n, m)  without it
@@ -74,7 +87,7 @@ OUT is NPZ (.npz), for n states and m places:
     progress        (n, m)  how the robot comes to touchdown: 0 moving, 1 at
                             rest, 2 turned back, 3 contacts lost, 4 flying
     status          (n, m)  as that of jaxcap score
-    metadata                JSON: delay, gravity, sides, version
+    metadata                JSON: options, gravity, version
 
 EXIT CODES
   0 done; 2 bad input, and one line says which; 130 interrupted.
@@ -89,12 +102,14 @@ def next_contact(
     *,
     contacts: Annotated[Path, tyro.conf.arg(metavar="CONTACTS")],
     surfaces: Annotated[Path, tyro.conf.arg(metavar="SURFACES")],
-    delay: Annotated[float, tyro.conf.arg(metavar="SECONDS")],
+    delay: Annotated[float | None, tyro.conf.arg(metavar="SECONDS")] = None,
+    limb: tyro.conf.OmitArgPrefixes[LimbOptions] = LimbOptions(),  # noqa: B008
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="OUT")],
     half_length: float = 0.06,
     half_width: float = 0.05,
     spacing: float = 0.1,
     lifted: tuple[int, ...] = (),
+    mass: Annotated[float | None, tyro.conf.arg(metavar="M")] = None,
     dtype: Literal["float32", "float64"] = "float32",
     sides: int = 4,
     cache: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
@@ -109,18 +124,22 @@ def next_contact(
         states: File of states, .parquet, .npz or .csv.
         contacts: File of contacts, .yaml or .json: where the robot stands.
         surfaces: File of surfaces, .yaml or .json: what it may touch.
-        delay: Until the new contact bears [s].
+        delay: Until the new contact bears [s], at all places.
+        limb: The same by a model.
         output: File to write, .npz.
         half_length: Of the hand or foot, along a surface's length [m].
         half_width: Along its width [m].
         spacing: Between places that are tried [m], at most.
         lifted: Rows of the contacts, from 0, that bear nothing from now on; a rectangle has four.
+        mass: Of the robot [kg]: the column angular_momentum counts then.
         dtype: Precision of the computation and of the figures written.
         sides: Edges of the pyramid that replaces each friction cone, at least 3.
         cache: Keep compiled programs in this directory, not in your cache folder.
         no_cache: Keep none and take none.
         force: Overwrite OUT if it exists.
     """
+    if mass is not None and not 0 < mass < np.inf:
+        raise InputError(f"--mass {mass} (expected a positive number of kilograms)")
     if sides < 3:
         raise InputError(f"--sides {sides} (expected at least 3)")
     if output.suffix.lower() != ".npz":
@@ -128,16 +147,20 @@ def next_contact(
     check_output(output, force=force, inputs=(states, contacts, surfaces))
     stance = read_contacts(contacts)
     candidates = _candidates(surfaces, half_length, half_width, spacing)
+    reach = limb.reach(candidates.contacts, delay)
     start = time.perf_counter()
     with jax.enable_x64(dtype == "float64"), compilation_cache(cache, no_cache):
-        options: dict[str, Any] = {"lifted": lifted or None, "sides": sides}
-        found = _found(states, stance, candidates, delay, dtype, options)
+        options: dict[str, Any] = {"lifted": lifted or None, "sides": sides, "reachable": reach.reachable}
+        options["delay"] = reach.delay if delay is None else delay  # one for all is much faster
+        found = _found(states, stance, candidates, mass, dtype, options)
     seconds = time.perf_counter() - start
     metadata = {"delay": delay, "gravity": GRAVITY, "sides": sides, "lifted": lifted, "version": __version__}
+    metadata |= limb.given | ({} if mass is None else {"mass": mass})
     figures: dict[str, Any] = {name: getattr(found, name) for name in WRITTEN}
     figures |= {name: figures[name].astype(dtype) for name in ("margin", "margin_without")}
     normals = np.asarray(candidates.contacts.frames)[:, 0, :, 2]
     figures |= {"centres": candidates.centres, "normals": normals, "surface": candidates.surface}
+    figures |= reach._asdict()
     with whole_file(output, force=force) as handle:
         np.savez(handle, **figures, metadata=json.dumps(metadata))
     n, m = found.margin.shape
@@ -155,20 +178,21 @@ def _candidates(path: Path, half_length: float, half_width: float, spacing: floa
 
 
 def _found(
-    path: Path, stance: ContactSet, candidates: Candidates, delay: float, dtype: str, options: dict[str, Any]
+    path: Path, stance: ContactSet, candidates: Candidates, mass: float | None, dtype: str, options: dict[str, Any]
 ) -> NextContacts:
     """Of all states of the file. Raises InputError."""
     rows = max(1, (1 << 20) // len(candidates.surface))
     parts = []
-    with read_states(path, rows, np.float64) as source:
+    with read_states(path, rows, np.float64, mass) as source:
+        if not source.momentum and {MOMENTUM, f"{MOMENTUM}_x"} & set(source.types):
+            print(f"note: {path}: column {MOMENTUM!r} does not count without --mass", file=sys.stderr)
         if source.contacts:
             raise InputError(f"{path}: column {source.contacts[0]!r} gives each row its contacts (expected one set for all)")
         for batch in source:
             state = batch.coms.astype(dtype), batch.com_velocities.astype(dtype)
+            options["specific_angular_momentum"] = batch.specific_angular_momenta
             try:
-                momenta = batch.specific_angular_momenta
-                given = candidates.contacts, delay
-                parts.append(next_contacts(stance, *state, *given, specific_angular_momentum=momenta, **options))
+                parts.append(next_contacts(stance, *state, candidates.contacts, **options))
             except ValueError as error:
                 raise InputError(f"--{error}") from error
     if not parts:

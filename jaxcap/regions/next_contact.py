@@ -25,6 +25,7 @@ from jaxcap.contacts.conventions import GRAVITY, ArrayLike
 from jaxcap.contacts.scoring_input import unless_zero
 from jaxcap.one_state.advance import Progress
 from jaxcap.one_state.result import Case
+from jaxcap.regions.candidate_sets import lifted_rows, shape_of, stacked
 
 PAIRS = 1 << 15
 """Of state and candidate, scored at a time: their rays take 40 MB in single precision for two feet and a hand."""
@@ -157,14 +158,14 @@ def next_contacts(
 
     Source: on flat ground the regions of Koolen et al., Capturability-based Analysis, IJRR 2012, of motions along one line.
     """
-    stacked = _stacked(candidates)
-    sets = _sets(contacts, stacked, lifted, sides, gravity, actuation)
+    several = stacked(candidates)
+    sets = _sets(contacts, several, lifted, sides, gravity, actuation)
     states, many = _states(com, com_velocity, specific_angular_momentum)
     shape = len(states.coms), sets.candidates
     delays = checked_times("delay", delay, shape if many else shape[1:])
     same = np.ndim(delay) == 0 and actuation is None
     delays = np.broadcast_to(np.asarray(delays), shape)[:, : 1 if same else None]
-    there = _reachable(reachable, shape, many) & np.any(stacked.mask, axis=1)
+    there = _reachable(reachable, shape, many) & np.any(several.mask, axis=1)
     found = _answers(sets, states, delays, there)
     if horizon is not None:
         found = found._replace(latest=_latest(sets, states, float(checked_times("horizon", horizon, ())), there))
@@ -278,10 +279,10 @@ def _sets(
 ) -> _Sets:
     """Raises TypeError, ValueError."""
     if not isinstance(contacts, ContactSet) or contacts.mask.ndim != 1:
-        raise TypeError(f"contacts: {_shape_of(contacts)} (expected one ContactSet)")
+        raise TypeError(f"contacts: {shape_of(contacts)} (expected one ContactSet)")
     contacts, candidates = jax.tree.map(np.asarray, (contacts, candidates))
     during = ContactSet.unchecked(
-        contacts.points, contacts.frames, contacts.friction, contacts.mask & ~_lifted(contacts, lifted)
+        contacts.points, contacts.frames, contacts.friction, contacts.mask & ~lifted_rows(contacts, lifted)
     )
     m = len(candidates.mask)
     repeated = jax.tree.map(lambda leaf: np.broadcast_to(leaf, (m + 1, *leaf.shape)), during)
@@ -311,43 +312,6 @@ def _kept_rays(fields: tuple[_Field, ...], sides: int, x64: bool) -> ConeRays:
     """x64: the precision in which JAX makes them now."""
     leaves = (np.frombuffer(field.data, field.dtype).reshape(field.shape) for field in fields)
     return jax.tree.map(np.asarray, cone_rays(ContactSet.unchecked(*leaves), sides))
-
-
-def _stacked(candidates: Any) -> ContactSet:
-    """Sets as one batch. Raises TypeError, ValueError."""
-    if isinstance(candidates, ContactSet):
-        if candidates.mask.ndim != 2:
-            raise TypeError(f"candidates: {_shape_of(candidates)} (expected a batch, points (m, k, 3), or a list of sets)")
-    elif not isinstance(candidates, Sequence) or not all(isinstance(one, ContactSet) for one in candidates):
-        raise TypeError(f"candidates: {_shape_of(candidates)} (expected a batch of contact sets, or a list of them)")
-    elif candidates:
-        most = max(len(one) for one in candidates)
-        candidates = jax.tree.map(lambda *leaves: np.stack(leaves), *[one.padded(most) for one in candidates])
-    if len(candidates) == 0 or 0 in candidates.mask.shape or not np.any(candidates.mask):
-        raise ValueError("candidates: none (expected at least one, with a contact that is not masked)")
-    return candidates
-
-
-def _shape_of(given: Any) -> str:
-    if isinstance(given, ContactSet):
-        return f"a ContactSet with points of shape {given.points.shape}"
-    return f"{type(given).__name__}"
-
-
-def _lifted(contacts: ContactSet, lifted: Any) -> np.ndarray:
-    """Which rows are lifted, (k,) bool. Raises ValueError."""
-    rows = np.zeros(len(contacts), bool)
-    if lifted is None:
-        return rows
-    given = np.atleast_1d(np.asarray(lifted))
-    if given.size and given.dtype.kind not in "iu":
-        raise ValueError(f"lifted: {given.dtype} (expected row numbers of contacts)")
-    for i, row in enumerate(given.tolist()):
-        if not 0 <= row < len(contacts) or not contacts.mask[row]:
-            there = np.flatnonzero(contacts.mask).tolist()
-            raise ValueError(f"lifted[{i}] = {row} (expected a row of contacts that is not masked, of {there})")
-        rows[row] = True
-    return rows
 
 
 def _reachable(reachable: Any, shape: tuple[int, int], many: bool) -> np.ndarray:
