@@ -60,7 +60,7 @@ def score(
         baselines: Also write how far the capture point lies inside support polygon and hull of the contacts.
         height: CoM height for the capture point [m]; by default that above the contacts of each row.
         mass: Of the robot [kg]: the column angular_momentum counts then. With --robot the robot's by default.
-        momentum_box: How much the rate of the robot's angular momentum over its mass may differ, in each component, from what
+        momentum_box: How much the rate of angular momentum over mass may differ, in each component, from what
             braking brings about [m^2/s^2].
         point_mass: With --robot, neither its torque limits nor its angular momentum count: the paper's model.
         cache: Keep compiled programs in this directory, not in your cache folder.

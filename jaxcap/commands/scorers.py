@@ -208,9 +208,7 @@ class OneSet(Scorer):
 class OwnContacts(Scorer):
     """Scores batches of rows with contacts of their own, by rays; see `Scorer` for the arguments."""
 
-    def __init__(
-        self, sides: int = 4, gravity: ArrayLike = GRAVITY, neighbours: bool = False, momentum_box: float = 0.0
-    ):
+    def __init__(self, sides: int = 4, gravity: ArrayLike = GRAVITY, neighbours: bool = False, momentum_box: float = 0.0):
         super().__init__(sides, gravity, neighbours, momentum_box=momentum_box)
         self._width = 1
         """Contacts of a row, the most so far."""
