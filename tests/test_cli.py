@@ -275,13 +275,13 @@ def test_the_last_batch_has_the_shape_of_the_others(monkeypatch, tmp_path, argum
 
 def test_sides_reach_the_cone_and_the_metadata(fake, monkeypatch, tmp_path, arguments):
     seen = []
-    monkeypatch.setattr(jaxcap, "centroidal_cone", lambda contacts, sides: seen.append((len(contacts), sides)))
+    monkeypatch.setattr(jaxcap, "centroidal_cone", lambda contacts, sides, _box: seen.append((len(contacts), sides)))
     assert main([*arguments, "--sides", "8"]) == 0
     assert seen == [(8, 8)] and read_metadata(tmp_path / "out.parquet")["sides"] == 8
 
 
 def test_a_cone_that_cannot_be_built_is_bad_input(fake, monkeypatch, tmp_path, arguments, capsys):
-    def fail(contacts, sides):
+    def fail(contacts, sides, momentum_box):
         raise ValueError("a face is\nviolated")
 
     monkeypatch.setattr(jaxcap, "centroidal_cone", fail)

@@ -87,6 +87,7 @@ QUICK: dict[str, tuple[str, ...]] = {
         "test_shards_make_the_whole[order0",
         "test_places_that_cannot_be_used",
     ),
+    "test_cli_momentum_box.py": ("test_boxes_that_cannot_be_used",),
     "test_cli_next.py": ("test_what_cannot_be_is_named", "test_one_delay_or_one_model", "test_help"),
     "test_contact_axes.py": (
         "test_a_level_set_with_its_own_friction_is_untouched",

@@ -34,6 +34,7 @@ def score(
     baselines: bool = False,
     height: Annotated[float | None, tyro.conf.arg(metavar="H")] = None,
     mass: Annotated[float | None, tyro.conf.arg(metavar="M")] = None,
+    momentum_box: Annotated[float, tyro.conf.arg(metavar="BOX")] = 0.0,
     point_mass: bool = False,
     cache: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
     no_cache: bool = False,
@@ -59,6 +60,8 @@ def score(
         baselines: Also write how far the capture point lies inside support polygon and hull of the contacts.
         height: CoM height for the capture point [m]; by default that above the contacts of each row.
         mass: Of the robot [kg]: the column angular_momentum counts then. With --robot the robot's by default.
+        momentum_box: How much the rate of angular momentum over mass may differ, in each component, from what
+            braking brings about [m^2/s^2].
         point_mass: With --robot, neither its torque limits nor its angular momentum count: the paper's model.
         cache: Keep compiled programs in this directory, not in your cache folder.
         no_cache: Keep none and take none.
@@ -66,6 +69,7 @@ def score(
         force: Overwrite OUT if it exists.
     """
     _check_options(sides, batch_size, baselines, height, mass)
+    _check_box(momentum_box, point_mass)
     check_where(where)
     if many := robot is None and is_many(states, output):
         check_plain(log)
@@ -74,7 +78,9 @@ def score(
             raise InputError(f"{where.given} (expected with many Parquet files as STATES, or one and a folder as OUT)")
         check_output(output, force=force, inputs=tuple(path for path in (states, contacts) if path))
     sets = read_contact_sets(contacts) if contacts else None
-    how = Settings(contacts, sets, dtype, sides, batch_size, neighbours, baselines, height, mass, strict, cache, no_cache)
+    how = Settings(
+        contacts, sets, dtype, sides, batch_size, neighbours, baselines, height, mass, momentum_box, strict, cache, no_cache
+    )
     if many:
         with compilation_cache(cache, no_cache):
             score_folder(states, output, how, counted(None, point_mass, mass), where, force=force)
@@ -104,3 +110,11 @@ def _check_options(sides: int, batch_size: int, baselines: bool, height: float |
         raise InputError(f"--sides {sides} (expected at least 3)")
     if batch_size < 1:
         raise InputError(f"--batch-size {batch_size} (expected at least 1)")
+
+
+def _check_box(momentum_box: float, point_mass: bool) -> None:
+    """Raises InputError for a box that cannot be used."""
+    if not 0 <= momentum_box < np.inf:
+        raise InputError(f"--momentum-box {momentum_box} (expected a number of m^2/s^2, not negative: N m over the mass)")
+    if momentum_box and point_mass:
+        raise InputError(f"--momentum-box {momentum_box} (expected without --point-mass, which is the paper's model)")

@@ -45,6 +45,8 @@ class Settings(NamedTuple):
     baselines: bool
     height: float | None
     mass: float | None
+    momentum_box: float
+    """[m^2/s^2]"""
     strict: bool
     cache: Path | None
     no_cache: bool
@@ -93,13 +95,18 @@ def score_file(
         fields = dict(FIELDS)
         more: dict[str, Any] = {} if known.mass is None else {"mass": known.mass}
         more |= {"counted": known.words} if known.words else {}
+        more |= {"momentum_box": how.momentum_box} if how.momentum_box else {}
         if how.baselines:
             refuse_clashes(named, source.types, BASELINES)
             fields = FIELDS | BASELINES
             more["capture_point_height"] = ABOVE_CONTACTS if how.height is None else how.height
-        scorer = scorer_of(described, how.contacts, min(rows, source.rows), how.sides, how.neighbours)
-        answer = partial(_answered, scorer, limits=known.limits, baselines=how.baselines, height=how.height)
+        scorer_with = partial(scorer_of, described, how.contacts, min(rows, source.rows), how.sides, how.neighbours)
+        scorer = scorer_with(how.momentum_box)
+        # The baselines know nothing of a box.
+        plain = (scorer_with() if how.momentum_box else scorer) if how.baselines else None
+        answer = partial(_answered, scorer, plain, limits=known.limits, height=how.height)
         metadata = describe(described, GRAVITY, how.sides, np.dtype(how.dtype), fields, source.momentum, **more)
+        metadata["units"] |= {"momentum_box": "m^2/s^2"} if how.momentum_box else {}
         run = Run(answer, scorer, how.strict, alone)
         options: dict[str, Any] = {"fields": fields, "about": source.about, "force": force}
         with write_scores(output, source.types, metadata | said_of_log(source.about), how.dtype, **options) as sink:
@@ -145,14 +152,14 @@ class _Answered(NamedTuple):
 
 
 def _answered(
-    scorer: Scorer, batch: StateBatch, limits: TorqueLimits | None, baselines: bool, height: float | None
+    scorer: Scorer, plain: Scorer | None, batch: StateBatch, limits: TorqueLimits | None, height: float | None
 ) -> _Answered:
-    """Scores a batch."""
+    """Scores a batch. plain: what computes its baselines, if they are asked for."""
     start = time.perf_counter()
     rows = batch.contacts, batch.coms, batch.com_velocities
     actuation = None if limits is None else limits.of(batch)
     scores, bad = scorer.score(*rows, batch.specific_angular_momenta, actuation)
-    beside = (scorer.baselines(*rows, height),) if baselines else ()
+    beside = () if plain is None else (plain.baselines(*rows, height),)
     return _Answered(scores, beside, bad, time.perf_counter() - start)
 
 

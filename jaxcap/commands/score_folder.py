@@ -103,7 +103,8 @@ def score_folder(states: Path, output: Path, how: Settings, known: Counted, wher
 def _settings(how: Settings, known: Counted, place: Place) -> dict[str, Any]:
     """All that answers depend on besides the states."""
     contacts = None if how.sets is None else described_contacts(how.sets)
-    rest = {name: value for name, value in how._asdict().items() if name not in ("sets", "contacts", "cache", "no_cache")}
+    left_out = ("sets", "contacts", "cache", "no_cache", *(() if how.momentum_box else ("momentum_box",)))
+    rest = {name: value for name, value in how._asdict().items() if name not in left_out}
     return {"contacts": contacts, **rest, "mass": known.mass, **place.about}
 
 

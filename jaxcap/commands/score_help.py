@@ -104,6 +104,15 @@ ROBOT
   the momentum counts alone. A line on stderr says which, and so do the
   metadata (counted). With --point-mass neither counts.
 
+MOMENTUM BOX
+  --momentum-box BOX, with a robot or without: the rate of angular momentum
+  over the mass may differ by BOX in each component, along x, y and z, from
+  what braking brings about: by limbs that the robot moves. In m^2/s^2, the
+  momentum_box of Python, never in N m: 10 N m, with which TALOS (90 kg)
+  stopped best, is 10 / 90 = 0.11. The metadata say it (momentum_box). Zero,
+  the default, is the paper's model. The columns of --baselines know nothing of
+  it.
+
 MANY FILES
   STATES may be a folder of Parquet files, however deep, or a glob in quotes
   ('data/**/*.parquet'). OUT is a folder then, and gets a file of the same name

@@ -69,10 +69,12 @@ class Scorer(ABC):
         gravity: (3,) [m/s^2].
         neighbours: Rows that follow each other are similar states; it counts for rays alone.
         size: Rows of a full batch, if that is known.
+        momentum_box: By how much the rate of angular momentum may differ, over the mass [m^2/s^2].
     """
 
-    def __init__(self, sides: int, gravity: ArrayLike, neighbours: bool, size: int = 1):
+    def __init__(self, sides: int, gravity: ArrayLike, neighbours: bool, size: int = 1, momentum_box: float = 0.0):
         self._sides, self._gravity, self._neighbours, self._size = sides, gravity, neighbours, size
+        self._box = momentum_box
 
     @abstractmethod
     def _parts(self, contacts: Any, n: int) -> tuple[list[Part], BadRows]:
@@ -151,9 +153,13 @@ class Scorer(ABC):
         cone = self._filled(part.cone) if own else part.cone
         states, velocities, spinning = (self._filled(vectors) for vectors in (coms, com_velocities, momenta))
         options: dict[str, Any] = {"neighbours": own and self._neighbours, "specific_angular_momentum": spinning}
-        if actuation is not None:  # whose programs have no use for neighbours
+        if own and self._box:  # faces have it already
+            options |= {"momentum_box": self._box}
+        if actuation is not None:
             wide = actuation.padded(part.contacts.mask.shape[-1], actuation.joints)
-            options |= {"neighbours": False, "actuation": self._filled(wide)}
+            options |= {"actuation": self._filled(wide)}
+        if {"momentum_box", "actuation"} & set(options):  # whose programs have no use for neighbours
+            options["neighbours"] = False
         return _first(len(coms), jaxcap.score(cone, states, velocities, gravity=self._gravity, **options))
 
     def _baselines(
@@ -179,14 +185,17 @@ class OneSet(Scorer):
         size: Rows of a full batch: the last batch needs no compiling.
         sides: As for `Scorer`, and so is gravity.
         gravity: (3,) [m/s^2].
+        momentum_box: As for `Scorer`.
 
     Raises:
         ValueError: If the faces cannot be computed.
     """
 
-    def __init__(self, contacts: ContactSet, size: int, sides: int = 4, gravity: ArrayLike = GRAVITY):
-        super().__init__(sides, gravity, neighbours=False, size=max(size, 1))
-        self._cone, self._contacts = jaxcap.centroidal_cone(contacts, sides=sides), contacts
+    def __init__(
+        self, contacts: ContactSet, size: int, sides: int = 4, gravity: ArrayLike = GRAVITY, momentum_box: float = 0.0
+    ):
+        super().__init__(sides, gravity, neighbours=False, size=max(size, 1), momentum_box=momentum_box)
+        self._cone, self._contacts = jaxcap.centroidal_cone(contacts, sides, momentum_box), contacts
 
     def _parts(self, contacts: None, n: int) -> tuple[list[Part], BadRows]:
         return [Part(np.arange(n), self._cone, self._contacts)], BadRows(n)
@@ -199,8 +208,8 @@ class OneSet(Scorer):
 class OwnContacts(Scorer):
     """Scores batches of rows with contacts of their own, by rays; see `Scorer` for the arguments."""
 
-    def __init__(self, sides: int = 4, gravity: ArrayLike = GRAVITY, neighbours: bool = False):
-        super().__init__(sides, gravity, neighbours)
+    def __init__(self, sides: int = 4, gravity: ArrayLike = GRAVITY, neighbours: bool = False, momentum_box: float = 0.0):
+        super().__init__(sides, gravity, neighbours, momentum_box=momentum_box)
         self._width = 1
         """Contacts of a row, the most so far."""
 
@@ -226,6 +235,7 @@ class SharedSets(Scorer):
         sides: As for `Scorer`, and so are gravity and neighbours.
         gravity: (3,) [m/s^2].
         neighbours: Rows that follow each other are similar states.
+        momentum_box: As for `Scorer`.
     """
 
     def __init__(
@@ -235,8 +245,9 @@ class SharedSets(Scorer):
         sides: int = 4,
         gravity: ArrayLike = GRAVITY,
         neighbours: bool = False,
+        momentum_box: float = 0.0,
     ):
-        super().__init__(sides, gravity, neighbours)
+        super().__init__(sides, gravity, neighbours, momentum_box=momentum_box)
         self._sets = sets
         self._numbers = {name: i for i, name in enumerate(names or ()) if name is not None}
         size = round_up(max(1, *map(len, sets)), MULTIPLE)
@@ -281,7 +292,8 @@ class SharedSets(Scorer):
         if number not in self._cones:
             contacts = self._sets[number]
             try:
-                cone = jaxcap.centroidal_cone(contacts, sides=self._sides) if np.any(contacts.mask) else _no_wrench()
+                touches = np.any(contacts.mask)
+                cone = jaxcap.centroidal_cone(contacts, self._sides, self._box) if touches else _no_wrench()
                 rows = FACES << max(0, (len(cone.faces) - 1) // FACES).bit_length()
                 self._cones[number] = cone.padded(rows)
             except ProjectionError:
@@ -290,7 +302,12 @@ class SharedSets(Scorer):
 
 
 def scorer_of(
-    contacts: ContactSet | ContactSets | tuple[str, ...], path: Path | None, size: int, sides: int, neighbours: bool
+    contacts: ContactSet | ContactSets | tuple[str, ...],
+    path: Path | None,
+    size: int,
+    sides: int,
+    neighbours: bool,
+    momentum_box: float = 0.0,
 ) -> Scorer:
     """What scores batches, whatever the contacts are.
 
@@ -298,20 +315,21 @@ def scorer_of(
         contacts: The set of all states, the sets that a column chooses from, or the names of the columns that hold them.
         path: Of the contacts file, for messages.
         size: Rows of a full batch.
-        sides: As for `Scorer`, and so is neighbours.
+        sides: As for `Scorer`, and so are neighbours and momentum_box.
         neighbours: Rows that follow each other are similar states.
+        momentum_box: [m^2/s^2].
 
     Raises:
         InputError: If the faces of the one set cannot be computed.
     """
     if isinstance(contacts, ContactSet):
         try:
-            return OneSet(contacts, size, sides)
+            return OneSet(contacts, size, sides, momentum_box=momentum_box)
         except ValueError as error:
             raise InputError(f"{path}: {error}") from error
     if isinstance(contacts, ContactSets):
-        return SharedSets(contacts.sets, contacts.names, sides, neighbours=neighbours)
-    return OwnContacts(sides, neighbours=neighbours)
+        return SharedSets(contacts.sets, contacts.names, sides, neighbours=neighbours, momentum_box=momentum_box)
+    return OwnContacts(sides, neighbours=neighbours, momentum_box=momentum_box)
 
 
 def _stand(contacts: ContactSet) -> Stand:
