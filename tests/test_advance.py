@@ -195,6 +195,29 @@ def test_angular_momentum_after_no_time_at_rest_and_in_a_fall(sample, momenta):
     assert falls.progress.tolist() == [Progress.FLIES, Progress.UNDECIDED] and falls.status[1] == Status.NONFINITE
 
 
+def test_a_momentum_box_by_rays_is_that_of_faces(sample):
+    """Two producers; and zero is today's answer to the bit. Contacts on the floor, where faces are quick to make."""
+    coms, velocities = np.array([[0, 0, HEIGHT], [0.05, 0.02, 0.8], [-0.04, 0, 0.9]]), np.array([[0.5, 0, 0]] * 3)
+    rays, plain = jaxcap.cone_rays(FEET), jaxcap.centroidal_cone(FEET)
+    boxed = jaxcap.advance(jaxcap.centroidal_cone(FEET, momentum_box=0.3), coms, velocities, 0.15)
+    by_rays = jaxcap.advance(rays, coms, velocities, 0.15, momentum_box=0.3)
+    for name in ("com", "com_velocity", "time"):
+        np.testing.assert_allclose(getattr(by_rays, name), getattr(boxed, name), atol=1e-9, err_msg=name)
+    np.testing.assert_array_equal(by_rays.progress, boxed.progress)
+    without = jaxcap.advance(plain, coms, velocities, 0.15)
+    assert (np.linalg.norm(boxed.com_velocity, axis=1) < np.linalg.norm(without.com_velocity, axis=1) - 0.01).all()
+    zero = after(sample, 0.2, momentum_box=0.0)
+    jax.tree.map(np.testing.assert_array_equal, zero, after(sample, 0.2))
+
+
+def test_a_momentum_box_needs_contacts():
+    """Without force there is no acceleration, whatever the limbs do: it falls freely."""
+    none = jaxcap.cone_rays(jaxcap.ContactSet(np.zeros((8, 3)), np.eye(3), 1.0, mask=np.zeros(8, bool)))
+    falls = jaxcap.advance(none, np.array([[0, 0, 0.9]]), np.array([[0.5, 0, 0.1]]), 0.2, momentum_box=0.3)
+    assert falls.progress.tolist() == [Progress.FLIES]
+    np.testing.assert_allclose(falls.com, [[0.1, 0, 0.9 + 0.02 - 9.81 * 0.02]], atol=1e-12)
+
+
 def test_without_contacts_it_falls():
     """Also at rest, and among others that stand."""
     none = jaxcap.ContactSet(np.zeros((2, 8, 3)), np.eye(3), 1.0, mask=np.zeros((2, 8), bool))

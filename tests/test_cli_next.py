@@ -47,6 +47,19 @@ def test_what_is_written_is_what_the_library_says(given, tmp_path, capsys):
     assert main(given) == 2 and "exists already" in capsys.readouterr().err
 
 
+def test_a_momentum_box_counts(given, tmp_path, capsys):
+    assert main([*given, "--spacing", "0.5", "--momentum-box", "0.2"]) == 0
+    candidates = jaxcap.candidates_on(read_surfaces(tmp_path / "room.yaml"), 0.06, 0.05, 0.5)
+    states, feet = np.load(tmp_path / "states.npz"), read_contacts(tmp_path / "feet.yaml")
+    state = [states[name].astype(np.float32) for name in ("com", "com_velocity")]
+    found = jaxcap.next_contacts(feet, *state, candidates.contacts, 0.1, momentum_box=0.2)
+    with np.load(tmp_path / "out.npz") as out:
+        np.testing.assert_array_equal(out["margin_without"], found.margin_without)
+        assert json.loads(str(out["metadata"]))["momentum_box"] == 0.2
+    assert main([*given, "--force", "--momentum-box", "-0.2"]) == 2
+    assert "--momentum-box -0.2 (expected a number of m^2/s^2, not negative" in capsys.readouterr().err
+
+
 def test_angular_momentum_of_a_column_counts(given, tmp_path):
     states, momenta = dict(np.load(tmp_path / "states.npz")), np.array([[0, 0.2, 0], [0.1, 0, 0.05]])
     np.savez(tmp_path / "states.npz", **states, specific_angular_momentum=momenta)

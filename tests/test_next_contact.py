@@ -87,6 +87,22 @@ def test_angular_momentum_is_that_at_touchdown():
         jaxcap.next_contacts(FEET, COMS, VELOCITIES, HANDS, 0.05, specific_angular_momentum=[0, 0.1, 0])
 
 
+def test_a_momentum_box_counts_before_touchdown_and_after_it():
+    """As `advance` and `score` have it; at once it never hurts, and zero is the answer without, to the bit."""
+    options = {"momentum_box": 0.2}
+    found = jaxcap.next_contacts(FEET, COMS, VELOCITIES, HANDS, 0.05, **options)
+    then = jaxcap.advance(jaxcap.cone_rays(FEET), COMS, VELOCITIES, 0.05, **options)
+    usable = ~np.isin(then.progress, [Progress.LEAVES, Progress.TURNS])
+    expected = scored(then.com, np.asarray(then.com_velocity), **options)
+    np.testing.assert_allclose(found.margin[usable], expected.margin[usable], rtol=1e-9)
+    assert usable.sum() > 1 and np.isnan(found.margin[~usable]).all()
+    at_once, without = (jaxcap.next_contacts(FEET, COMS, VELOCITIES, HANDS, 0.0, momentum_box=box) for box in (0.2, 0.0))
+    sure = np.isfinite(without.margin)
+    assert (at_once.margin >= without.margin - 1e-9)[sure].all() and (at_once.margin_without > without.margin_without).any()
+    plain = jaxcap.next_contacts(FEET, COMS, VELOCITIES, HANDS, 0.0)
+    np.testing.assert_array_equal(without.margin, plain.margin)
+
+
 def test_the_capture_point():
     """All feet lifted, a point to step on at once: the margin is the distance from the capture point, in speed."""
     places, speed = np.linspace(-0.1, 0.6, 29), 0.9

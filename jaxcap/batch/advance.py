@@ -35,6 +35,7 @@ def advance(
     *,
     specific_angular_momentum: ArrayLike | None = None,
     actuation: Actuation | None = None,
+    momentum_box: ArrayLike = 0.0,
 ) -> Advanced:
     """Where the robot is after some time of braking as hard as its contacts allow, along its own velocity.
 
@@ -53,13 +54,15 @@ def advance(
             zero, the paper's model. It brakes, or grows, in proportion to the CoM's speed, as `capturability` has it: the
             state that comes back goes on by the same manoeuvre.
         actuation: what the robot's joints can bear, in one posture or in one for each state; with rays only.
+        momentum_box: how much the rate of angular momentum per unit mass may differ from what braking brings about, in each
+            component [m^2/s^2]: one number, or (n,); with rays only: `centroidal_cone` takes one for faces.
 
     Returns:
         The state then, and how it came there. NumPy's positions come back as NumPy's, in their own precision.
 
     Raises:
         TypeError: for wrong shapes, contacts in place of a cone, or an actuation of other contacts.
-        ValueError: for a duration that is negative or not finite.
+        ValueError: for a duration or a box that is negative or not finite.
 
     Source: Section III: (12) and the accelerations of (25)-(29); time on a piece in closed form, as (19)-(24).
     """
@@ -70,7 +73,7 @@ def advance(
     many = start.ndim == 2
     duration = checked_times("duration", duration, (len(start),) if many else ())
     near, position = relative(cone, start)
-    limited = with_limits(near, actuation, 0.0, len(start) if many else None)
+    limited = with_limits(near, actuation, momentum_box, len(start) if many else None)
     states, momenta = (position, rounded(velocity), rounded(duration)), unless_zero(rounded(given))
     one = advance_of_lanes if not many else _of_rows
     found = one(limited, *states, gravity, momenta)

@@ -12,6 +12,7 @@ import tyro
 
 from jaxcap.commands.compile_cache import compilation_cache
 from jaxcap.commands.limb_options import LimbOptions
+from jaxcap.commands.options import check_momentum_box
 from jaxcap.contacts.contact_set import ContactSet
 from jaxcap.contacts.conventions import GRAVITY
 from jaxcap.contacts.surfaces import Candidates, candidates_on
@@ -40,7 +41,7 @@ WHAT IS ASKED
 
 STATES and CONTACTS are those of jaxcap score; one contact set for all states.
   A column specific_angular_momentum counts, as it does there, and with --mass
-  a column angular_momentum.
+  a column angular_momentum. What the robot may do besides is --momentum-box.
 
 DELAY
   One for all places (--delay), or for each its distance from --limb over
@@ -110,6 +111,7 @@ def next_contact(
     spacing: float = 0.1,
     lifted: tuple[int, ...] = (),
     mass: Annotated[float | None, tyro.conf.arg(metavar="M")] = None,
+    momentum_box: Annotated[float, tyro.conf.arg(metavar="BOX")] = 0.0,
     dtype: Literal["float32", "float64"] = "float32",
     sides: int = 4,
     cache: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
@@ -132,6 +134,8 @@ def next_contact(
         spacing: Between places that are tried [m], at most.
         lifted: Rows of the contacts, from 0, that bear nothing from now on; a rectangle has four.
         mass: Of the robot [kg]: the column angular_momentum counts then.
+        momentum_box: How much the rate of angular momentum over mass may differ, in each component, from what
+            braking brings about [m^2/s^2].
         dtype: Precision of the computation and of the figures written.
         sides: Edges of the pyramid that replaces each friction cone, at least 3.
         cache: Keep compiled programs in this directory, not in your cache folder.
@@ -140,6 +144,7 @@ def next_contact(
     """
     if mass is not None and not 0 < mass < np.inf:
         raise InputError(f"--mass {mass} (expected a positive number of kilograms)")
+    check_momentum_box(momentum_box)
     if sides < 3:
         raise InputError(f"--sides {sides} (expected at least 3)")
     if output.suffix.lower() != ".npz":
@@ -151,11 +156,13 @@ def next_contact(
     start = time.perf_counter()
     with jax.enable_x64(dtype == "float64"), compilation_cache(cache, no_cache):
         options: dict[str, Any] = {"lifted": lifted or None, "sides": sides, "reachable": reach.reachable}
+        options["momentum_box"] = momentum_box
         options["delay"] = reach.delay if delay is None else delay  # one for all is much faster
         found = _found(states, stance, candidates, mass, dtype, options)
     seconds = time.perf_counter() - start
     metadata = {"delay": delay, "gravity": GRAVITY, "sides": sides, "lifted": lifted, "version": __version__}
     metadata |= limb.given | ({} if mass is None else {"mass": mass})
+    metadata |= {"momentum_box": momentum_box} if momentum_box else {}
     figures: dict[str, Any] = {name: getattr(found, name) for name in WRITTEN}
     figures |= {name: figures[name].astype(dtype) for name in ("margin", "margin_without")}
     normals = np.asarray(candidates.contacts.frames)[:, 0, :, 2]

@@ -1,5 +1,6 @@
-"""Options of the form NAME=VALUE."""
+"""Options of several commands, and those of the form NAME=VALUE."""
 
+import math
 from collections.abc import Iterable
 
 from jaxcap.errors import InputError
@@ -19,3 +20,9 @@ def named_values(option: str, given: Iterable[str], expected: str) -> dict[str, 
             raise InputError(f"{option} {name} is given twice")
         values[name] = value
     return values
+
+
+def check_momentum_box(box: float) -> None:
+    """Raises InputError for a box that cannot be used [m^2/s^2]."""
+    if not 0 <= box < math.inf:
+        raise InputError(f"--momentum-box {box} (expected a number of m^2/s^2, not negative: N m over the mass)")

@@ -9,6 +9,7 @@ import numpy as np
 import tyro
 
 from jaxcap.commands.compile_cache import compilation_cache
+from jaxcap.commands.options import check_momentum_box
 from jaxcap.commands.robot_limits import counted
 from jaxcap.commands.score_file import Settings, score_file
 from jaxcap.commands.score_folder import is_many, score_folder
@@ -114,7 +115,6 @@ def _check_options(sides: int, batch_size: int, baselines: bool, height: float |
 
 def _check_box(momentum_box: float, point_mass: bool) -> None:
     """Raises InputError for a box that cannot be used."""
-    if not 0 <= momentum_box < np.inf:
-        raise InputError(f"--momentum-box {momentum_box} (expected a number of m^2/s^2, not negative: N m over the mass)")
+    check_momentum_box(momentum_box)
     if momentum_box and point_mass:
         raise InputError(f"--momentum-box {momentum_box} (expected without --point-mass, which is the paper's model)")

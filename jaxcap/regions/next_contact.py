@@ -76,6 +76,8 @@ class _Sets(NamedTuple):
     gravity: ArrayLike
     actuation: Actuation | None
     """Of each of m candidates."""
+    momentum_box: float = 0.0
+    """[m^2/s^2]"""
 
     @property
     def candidates(self) -> int:
@@ -124,6 +126,7 @@ def next_contacts(
     horizon: float | None = None,
     specific_angular_momentum: ArrayLike | None = None,
     actuation: Actuation | None = None,
+    momentum_box: float = 0.0,
     sides: int = 4,
     gravity: ArrayLike = GRAVITY,
 ) -> NextContacts:
@@ -145,6 +148,8 @@ def next_contacts(
             after it, it keeps its proportion to the CoM's speed (see `advance`).
         actuation: of each of m candidates, what the joints can bear in the posture at touchdown: with rows for the
             `contacts`, then for those of the candidate. It counts from touchdown on, not before.
+        momentum_box: how much the rate of angular momentum per unit mass may differ from what braking brings about, in each
+            component, until touchdown and after it [m^2/s^2]: one number.
         sides: edges of each friction pyramid, >= 3.
         gravity: (3,) [m/s^2].
 
@@ -153,13 +158,16 @@ def next_contacts(
 
     Raises:
         TypeError: for wrong shapes.
-        ValueError: for no candidates, a delay or horizon that is negative or not finite, a lifted contact that is not there.
+        ValueError: for no candidates, a delay, horizon or box that is negative or not finite, a lifted contact that is not
+            there.
             A candidate or state with numbers that are not finite gets a status, and leaves the others alone.
 
     Source: on flat ground the regions of Koolen et al., Capturability-based Analysis, IJRR 2012, of motions along one line.
     """
     several = stacked(candidates)
-    sets = _sets(contacts, several, lifted, sides, gravity, actuation)
+    if np.ndim(momentum_box):
+        raise TypeError(f"momentum_box has shape {np.shape(momentum_box)} (expected one number)")
+    sets = _sets(contacts, several, lifted, sides, gravity, actuation)._replace(momentum_box=momentum_box)
     states, many = _states(com, com_velocity, specific_angular_momentum)
     shape = len(states.coms), sets.candidates
     delays = checked_times("delay", delay, shape if many else shape[1:])
@@ -231,7 +239,8 @@ def _touchdown(sets: _Sets, states: _States, delays: np.ndarray) -> _Touchdown:
     alone = n * d == 1  # not side by side with copies of itself
     rows, times = (0, delays[0, 0]) if alone else (np.repeat(np.arange(n), d), delays.reshape(-1))
     coms, velocities, momenta = jax.tree.map(lambda field: field[rows], states)
-    found = advance(sets.during, coms, velocities, times, sets.gravity, specific_angular_momentum=momenta)
+    besides: Any = {"specific_angular_momentum": momenta, "momentum_box": sets.momentum_box}
+    found = advance(sets.during, coms, velocities, times, sets.gravity, **besides)
     of_rows = lambda field: np.asarray(field)[None] if alone else np.asarray(field)
     place = lambda field: of_rows(field).reshape(n, d, *of_rows(field).shape[1:])
     progress = place(found.progress)
@@ -270,7 +279,8 @@ def _scored_pairs(sets: _Sets, touchdown: _Touchdown, which: np.ndarray, state: 
     coms, velocities, momenta = jax.tree.map(lambda field: field.reshape(-1, 3)[state], vectors)
     cones = jax.tree.map(lambda leaf: leaf[which], sets.cones)
     limits = None if sets.actuation is None else jax.tree.map(lambda leaf: leaf[state % sets.candidates], sets.actuation)
-    found = score(cones, coms, velocities, sets.gravity, specific_angular_momentum=momenta, actuation=limits)
+    besides: Any = {"specific_angular_momentum": momenta, "momentum_box": sets.momentum_box}
+    found = score(cones, coms, velocities, sets.gravity, actuation=limits, **besides)
     return tuple(np.asarray(field) for field in (found.margin, found.capturable, found.case, found.status))
 
 
