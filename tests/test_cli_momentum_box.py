@@ -74,6 +74,7 @@ def test_contacts_of_their_own(tmp_path):
     with jax.enable_x64(True):
         rays = jaxcap.cone_rays(ContactSet(points, frames, friction, there))
     close(found, rays, *states(N), momentum_box=BOX)
+    assert np.isnan(found["effort"]).all()  # no joint counts
     again = scored(where, None, "neighbours.parquet", "--momentum-box", str(BOX), "--neighbours")
     np.testing.assert_array_equal(again["capturable"], found["capturable"])
 

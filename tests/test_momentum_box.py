@@ -77,6 +77,20 @@ def test_a_larger_box_never_lowers_the_speeds(answers):
         assert (found[larger].max_speed > found[smaller].max_speed + 1e-3).sum() > 5
 
 
+def test_a_box_alone_has_no_effort():
+    """Which is of joints: NaN by rays as by faces, of one state, of many, and in a program; the verdict is the same."""
+    com, velocity = np.array([0, 0.1, 0.8]), np.array([0.3, 0, 0])
+    rays, faces = jaxcap.cone_rays(FOOT), jaxcap.centroidal_cone(FOOT, momentum_box=0.3)
+    one = lambda cone, **options: jaxcap.capturability(cone, com, velocity, **options)
+    by_rays, by_faces = one(rays, momentum_box=0.3), one(faces)
+    program = jax.jit(lambda: one(rays, momentum_box=0.3))()
+    many = jaxcap.score(rays, com[None], velocity[None], momentum_box=0.3)
+    for found in (by_rays, by_faces, program, many):
+        assert np.isnan(found.effort).all()
+        np.testing.assert_allclose(found.margin, by_faces.margin, rtol=1e-9)
+        assert np.all(found.capturable == by_faces.capturable)
+
+
 def test_no_box_is_today_to_the_bit():
     for contacts in STANCES.values():
         one, other = jaxcap.centroidal_cone(contacts), jaxcap.centroidal_cone(contacts, momentum_box=0.0)

@@ -16,6 +16,7 @@ from jaxcap.contacts.actuation import Actuation, with_limits
 from jaxcap.contacts.cone import CentroidalCone, ConeRays
 from jaxcap.contacts.conventions import GRAVITY, ArrayLike, checked_gravity
 from jaxcap.contacts.scoring_input import as_given, check_cone, relative, rounded, unless_zero
+from jaxcap.one_state.capturability import of_joints
 from jaxcap.one_state.result import Capturability
 
 
@@ -72,9 +73,9 @@ def score(
     xp: Any = jnp if any(isinstance(leaf, jax.Array) for leaf in jax.tree.leaves(gravity)) else np
     shared = Shared(xp.asarray(gravity, jnp.result_type(positions, jnp.float32)), common)
     if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves((states, shared.cone))):
-        return scored_block(shared, states, neighbours)
+        return of_joints(scored_block(shared, states, neighbours), limited)
     found = _over_devices(shared, states, neighbours)
-    return decided(limited, states, gravity, found) if isinstance(limited, ConeRays) else found
+    return decided(limited, states, gravity, found) if isinstance(limited, ConeRays) else of_joints(found, limited)
 
 
 def _over_devices(shared: Shared, states: States, neighbours: bool) -> Capturability:
