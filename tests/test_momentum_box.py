@@ -91,6 +91,17 @@ def test_a_box_alone_has_no_effort():
         assert np.all(found.capturable == by_faces.capturable)
 
 
+def test_at_rest_a_box_counts_by_rays_as_by_faces():
+    """Beyond the edge of the sole, where the limbs alone hold the robot: 0.3 / 9.81 m farther."""
+    x = np.array([-0.12, 0, 0.09, 0.11, 0.13, 0.132, 0.2])
+    coms, still = np.stack([x, 0.1 + 0 * x, 0.8 + 0 * x], axis=1), np.zeros((len(x), 3))
+    by_rays = jaxcap.score(jaxcap.cone_rays(FOOT), coms, still, momentum_box=0.3)
+    by_faces = jaxcap.score(jaxcap.centroidal_cone(FOOT, momentum_box=0.3), coms, still)
+    stands = (np.abs(x) < 0.1 + 0.3 / 9.81).tolist()
+    assert stands == by_rays.capturable.tolist() == by_faces.capturable.tolist()
+    assert by_rays.case.tolist() == by_faces.case.tolist() == [Case.C3_1 if one else Case.EMPTY for one in stands]
+
+
 def test_no_box_is_today_to_the_bit():
     for contacts in STANCES.values():
         one, other = jaxcap.centroidal_cone(contacts), jaxcap.centroidal_cone(contacts, momentum_box=0.0)

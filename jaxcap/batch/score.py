@@ -16,7 +16,6 @@ from jaxcap.contacts.actuation import Actuation, with_limits
 from jaxcap.contacts.cone import CentroidalCone, ConeRays
 from jaxcap.contacts.conventions import GRAVITY, ArrayLike, checked_gravity
 from jaxcap.contacts.scoring_input import as_given, check_cone, relative, rounded, unless_zero
-from jaxcap.one_state.capturability import of_joints
 from jaxcap.one_state.result import Capturability
 
 
@@ -73,9 +72,9 @@ def score(
     xp: Any = jnp if any(isinstance(leaf, jax.Array) for leaf in jax.tree.leaves(gravity)) else np
     shared = Shared(xp.asarray(gravity, jnp.result_type(positions, jnp.float32)), common)
     if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves((states, shared.cone))):
-        return of_joints(scored_block(shared, states, neighbours), limited)
+        return scored_block(shared, states, neighbours)
     found = _over_devices(shared, states, neighbours)
-    return decided(limited, states, gravity, found) if isinstance(limited, ConeRays) else of_joints(found, limited)
+    return decided(limited, states, gravity, found) if isinstance(limited, ConeRays) else found
 
 
 def _over_devices(shared: Shared, states: States, neighbours: bool) -> Capturability:

@@ -81,6 +81,11 @@ class ActuatedPolygon(NamedTuple):
     """Of the smallest acceleration at alpha = 0, or of a place nearby."""
 
     @property
+    def joints(self) -> int:
+        """How many rows are torques."""
+        return self.bound.shape[0] - 6
+
+    @property
     def ready(self) -> Basis:
         """`start`, of a polygon that knows its survey: only such a one is walked, turned or moved."""
         assert self.start is not None, "the polygon is used before it knows its survey"
@@ -152,9 +157,8 @@ class ActuatedPolygon(NamedTuple):
             survey: of this polygon.
             beyond: where the walk leads beyond it.
         """
-        assert survey.effort is not None, "the survey is of another producer"
         fixed = jax.tree.map(jax.lax.stop_gradient, self)
-        wanted = survey.feasible & beyond | ~(survey.effort <= 1)
+        wanted = survey.feasible & beyond | ~survey.standing
         programs = [fixed.standing(-1), fixed.standing(1)]
         least, most = _in_turn(programs, [fixed.at_rest] * 2, fixed.ready, wanted)
         standing = jnp.where(wanted, least.outcome != Outcome.INFEASIBLE, survey.standing)

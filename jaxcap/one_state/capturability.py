@@ -1,13 +1,9 @@
 """The entry: one state in, one answer out; verdict, case, margins, distance, time. Arrays carry their lanes last."""
 
-from typing import Any
-
 import jax
-import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Num
 
-from jaxcap.contacts.actuation import ActuatedRays, Actuation, with_limits
+from jaxcap.contacts.actuation import Actuation, with_limits
 from jaxcap.contacts.cone import CentroidalCone, ConeRays
 from jaxcap.contacts.conventions import GRAVITY, ArrayLike, checked_gravity
 from jaxcap.contacts.scoring_input import as_given, check_cone, relative, rounded, unless_zero
@@ -62,16 +58,7 @@ def capturability(
             raise TypeError(f"{name} has shape {value.shape} (expected (3,); `score` takes many states)")
     cone, position = relative(cone, position)
     limited = with_limits(cone, actuation, momentum_box)
-    found = capturability_of_lanes(limited, position, rounded(velocity), gravity, unless_zero(rounded(momentum)))
-    return of_joints(found, limited)
-
-
-def of_joints(found: Capturability, cone: Cone) -> Capturability:
-    """Without joints there is no effort: NaN, also by rays of which a momentum box alone made the program that of joints."""
-    if not isinstance(cone, ActuatedRays) or cone.actuation.joints:
-        return found
-    xp: Any = np if isinstance(found.effort, np.ndarray) else jnp
-    return found._replace(effort=xp.full_like(found.effort, xp.nan))
+    return capturability_of_lanes(limited, position, rounded(velocity), gravity, unless_zero(rounded(momentum)))
 
 
 @jax.jit
