@@ -20,12 +20,11 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-import pyarrow.parquet as pq
 import zarr
 
 from bench.dask_cluster import DaskCluster, jaxcap, kill, program, until
 from bench.maps import CONTACTS, axes
-from bench.memory import write_states
+from bench.memory import write_dataset
 from jaxcap.maps.store import JOURNAL, partial_path
 from reference.tsid.journal import records_of
 
@@ -63,11 +62,7 @@ class Killed(NamedTuple):
 
 def files_of(folder: Path, files: int, rows: int) -> Job:
     """A dataset to score, which is written here."""
-    write_states(folder / "all.parquet", files * rows)
-    table = pq.read_table(folder / "all.parquet")
-    (folder / "in").mkdir()
-    for number in range(files):
-        pq.write_table(table.slice(number * rows, rows), folder / "in" / f"{number:05}.parquet")
+    write_dataset(folder, files, rows)
     begin = lambda output, *options: jaxcap(
         "score", folder / "in", "--contacts", CONTACTS, "-o", output, "--cache", folder / "cache", *options
     )

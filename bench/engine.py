@@ -15,11 +15,9 @@ import time
 from pathlib import Path
 from typing import NamedTuple
 
-import pyarrow.parquet as pq
-
 from bench.dask_cluster import DaskCluster
 from bench.maps import CONTACTS
-from bench.memory import write_states
+from bench.memory import write_dataset
 from bench.process import in_process
 from jaxcap.engine import Unit, over_units
 from jaxcap.engine.cluster import cluster
@@ -70,14 +68,10 @@ def at_work(folder: Path, states: int, begun: int) -> float | None:
 
 def prepared(folder: Path, files: int, rows: int) -> Job:
     """The files of a job, and its programs."""
-    (folder / "in").mkdir()
     (folder / "log").mkdir()
-    write_states(folder / "one.parquet", files * rows)
-    table = pq.read_table(folder / "one.parquet")
-    for number in range(files):
-        pq.write_table(table.slice(number * rows, rows), folder / "in" / f"{number:05}.parquet")
+    write_dataset(folder, files, rows)
     job = Job(folder, files * rows, ["--cache", str(folder / "cache")])
-    for name in ("one.parquet", "in/00000.parquet"):  # compiles
+    for name in ("all.parquet", "in/00000.parquet"):  # compiles
         in_process(job.command(name, "compiled.parquet", "--force"))
     return job
 
@@ -133,7 +127,7 @@ def main() -> None:
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
         job = prepared(Path(name), options.files, options.rows)
-        one = job.here("one file, this process", "one.parquet", "scores.parquet")
+        one = job.here("one file, this process", "all.parquet", "scores.parquet")
         lines = [one, job.here("files, this process", "in", "here")]
         jobs = ("--jobs", str(options.workers))
         lines.append(job.here(f"files, {options.workers} processes", "in", "processes", *jobs, workers=options.workers))

@@ -32,6 +32,15 @@ def write_states(path: Path, count: int) -> None:
             file.write_table(pa.table(columns, schema=file.schema))
 
 
+def write_dataset(folder: Path, files: int, rows: int) -> None:
+    """all.parquet, and the same rows in so many files of the folder `in`."""
+    write_states(folder / "all.parquet", files * rows)
+    table = pq.read_table(folder / "all.parquet")
+    (folder / "in").mkdir()
+    for number in range(files):
+        pq.write_table(table.slice(number * rows, rows), folder / "in" / f"{number:05}.parquet")
+
+
 def lines(most: int) -> list[dict]:
     """One line for each command and power of ten from 10^5 states up to `most`."""
     found = []

@@ -13,7 +13,7 @@ import jax
 import tyro
 
 from jaxcap.commands.compile_cache import compilation_cache
-from jaxcap.commands.options import named_values
+from jaxcap.commands.options import check_sides, named_values
 from jaxcap.commands.where import WHERE, Where, check_where, place_of
 from jaxcap.engine import Here, Place, Unit, over_units, shard_of
 from jaxcap.errors import InputError
@@ -153,8 +153,7 @@ def map_kernel(
     from jaxcap.maps.asked import notes_of
     from jaxcap.maps.kernel import write_map
 
-    if sides < 3:
-        raise InputError(f"--sides {sides} (expected at least 3)")
+    check_sides(sides)
     check_where(where)
     given = named_values("--axis", axis, "NAME=VALUES, for example com_x=-0.4:0.4:201")
     subject = _subject(contacts, robot, posture, row, joints, sides)

@@ -12,12 +12,11 @@ import tyro
 
 from jaxcap.commands.compile_cache import compilation_cache
 from jaxcap.commands.limb_options import LimbOptions
-from jaxcap.commands.options import check_momentum_box
+from jaxcap.commands.options import check_mass, check_momentum_box, check_sides, without_mass
 from jaxcap.contacts.contact_set import ContactSet
 from jaxcap.contacts.conventions import GRAVITY
 from jaxcap.contacts.surfaces import Candidates, candidates_on
 from jaxcap.errors import InputError
-from jaxcap.files.columns import MOMENTUM
 from jaxcap.files.contact_files import read_contacts
 from jaxcap.files.records import read_states
 from jaxcap.files.surface_files import read_surfaces
@@ -142,11 +141,9 @@ def next_contact(
         no_cache: Keep none and take none.
         force: Overwrite OUT if it exists.
     """
-    if mass is not None and not 0 < mass < np.inf:
-        raise InputError(f"--mass {mass} (expected a positive number of kilograms)")
+    check_mass(mass)
     check_momentum_box(momentum_box)
-    if sides < 3:
-        raise InputError(f"--sides {sides} (expected at least 3)")
+    check_sides(sides)
     if output.suffix.lower() != ".npz":
         raise InputError(f"{output}: unknown extension {output.suffix!r} (expected .npz)")
     check_output(output, force=force, inputs=(states, contacts, surfaces))
@@ -155,9 +152,13 @@ def next_contact(
     reach = limb.reach(candidates.contacts, delay)
     start = time.perf_counter()
     with jax.enable_x64(dtype == "float64"), compilation_cache(cache, no_cache):
-        options: dict[str, Any] = {"lifted": lifted or None, "sides": sides, "reachable": reach.reachable}
-        options["momentum_box"] = momentum_box
-        options["delay"] = reach.delay if delay is None else delay  # one for all is much faster
+        options: dict[str, Any] = {
+            "delay": reach.delay if delay is None else delay,  # one for all is much faster
+            "reachable": reach.reachable,
+            "lifted": lifted or None,
+            "momentum_box": momentum_box,
+            "sides": sides,
+        }
         found = _found(states, stance, candidates, mass, dtype, options)
     seconds = time.perf_counter() - start
     metadata = {"delay": delay, "gravity": GRAVITY, "sides": sides, "lifted": lifted, "version": __version__}
@@ -191,8 +192,8 @@ def _found(
     rows = max(1, (1 << 20) // len(candidates.surface))
     parts = []
     with read_states(path, rows, np.float64, mass) as source:
-        if not source.momentum and {MOMENTUM, f"{MOMENTUM}_x"} & set(source.types):
-            print(f"note: {path}: column {MOMENTUM!r} does not count without --mass", file=sys.stderr)
+        if words := without_mass(source):
+            print(f"note: {path}: {words}", file=sys.stderr)
         if source.contacts:
             raise InputError(f"{path}: column {source.contacts[0]!r} gives each row its contacts (expected one set for all)")
         for batch in source:

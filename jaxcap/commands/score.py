@@ -9,7 +9,7 @@ import numpy as np
 import tyro
 
 from jaxcap.commands.compile_cache import compilation_cache
-from jaxcap.commands.options import check_momentum_box
+from jaxcap.commands.options import check_mass, check_momentum_box, check_sides
 from jaxcap.commands.robot_limits import counted
 from jaxcap.commands.score_file import Settings, score_file
 from jaxcap.commands.score_folder import is_many, score_folder
@@ -105,10 +105,8 @@ def _check_options(sides: int, batch_size: int, baselines: bool, height: float |
         raise InputError(f"--height {height} (expected with --baselines, which alone needs it)")
     if height is not None and not 0 < height < np.inf:
         raise InputError(f"--height {height} (expected a positive number of metres)")
-    if mass is not None and not 0 < mass < np.inf:
-        raise InputError(f"--mass {mass} (expected a positive number of kilograms)")
-    if sides < 3:
-        raise InputError(f"--sides {sides} (expected at least 3)")
+    check_mass(mass)
+    check_sides(sides)
     if batch_size < 1:
         raise InputError(f"--batch-size {batch_size} (expected at least 1)")
 

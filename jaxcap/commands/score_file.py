@@ -10,6 +10,7 @@ import numpy as np
 from tqdm import tqdm
 
 from jaxcap.commands.compile_cache import compilation_cache
+from jaxcap.commands.options import without_mass
 from jaxcap.commands.robot_limits import Counted, TorqueLimits
 from jaxcap.commands.scorers import Scorer, scorer_of
 from jaxcap.commands.states import said_of_log
@@ -18,7 +19,7 @@ from jaxcap.contacts.contact_set import ContactSet
 from jaxcap.contacts.conventions import GRAVITY
 from jaxcap.errors import InputError
 from jaxcap.files.bad_rows import BadRows
-from jaxcap.files.columns import MOMENTUM, StateBatch, describe, refuse_clashes
+from jaxcap.files.columns import StateBatch, describe, refuse_clashes
 from jaxcap.files.contact_columns import CHOICE, POINTS, RowContacts
 from jaxcap.files.contact_files import ContactSets
 from jaxcap.files.fields import BASELINES, FIELDS
@@ -89,8 +90,8 @@ def score_file(
             say(known.words)
         for name in source.skipped:
             say(f"{name!r} is not carried through: not one value for each state")
-        if not known.words and not source.momentum and {MOMENTUM, f"{MOMENTUM}_x"} & set(source.types):
-            say(f"column {MOMENTUM!r} does not count without --mass")
+        if not known.words and (words := without_mass(source)):
+            say(words)
         described = contacts_of(named, source.contacts, how.contacts, how.sets)
         fields = dict(FIELDS)
         more: dict[str, Any] = {} if known.mass is None else {"mass": known.mass}

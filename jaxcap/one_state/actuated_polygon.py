@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float
 
 from jaxcap.contacts.actuation import ActuatedRays
 from jaxcap.numerics import bounded_basis, bounded_simplex
@@ -26,6 +26,7 @@ from jaxcap.one_state.actuated_rows import Rows
 from jaxcap.one_state.basis_line import Carrying, first_met, line_of, one_place
 from jaxcap.one_state.boundary import Boundary, End
 from jaxcap.one_state.polygon import Survey
+from jaxcap.one_state.programs_in_turn import Load, Solved, solved_in_turn, stacked_programs
 from jaxcap.one_state.walk import Affine, Next, moved, walk
 from jaxcap.one_state.wrench_line import WrenchLine, wrench_line
 
@@ -33,19 +34,6 @@ DEEPEST = 1e3
 """A deceleration beyond this [m/s^2] is one without bound: near a line down into the ground, rounding alone bounds it."""
 APEX = {64: 1e3, 32: 1e2}
 """By how much more than elsewhere ties are broken in the program of the effort, whose target is zero: without, it cycles."""
-
-
-class Load(NamedTuple):
-    """What rays and torques have to add up to."""
-
-    wrench: Float[Array, "m *n"]
-    """[m/s^2]"""
-    target: Float[Array, "m *n"]
-    """The same, moved a little into the cone: it breaks ties, and closes the cone in spite of rounding."""
-
-    def moved(self, change: Float[Array, "m *n"]) -> "Load":
-        """With this wrench added."""
-        return Load(self.wrench + change, self.target + change)
 
 
 class ActuatedPolygon(NamedTuple):
@@ -132,7 +120,7 @@ class ActuatedPolygon(NamedTuple):
         lowest, hold = fixed.at_start(), fixed.holding()
         everywhere = jnp.ones(self.fall.shape, bool)
         loads = [fixed.falling, Load(0 * fixed.at_rest.wrench, hold.target)]
-        start, held = _in_turn([lowest, hold], loads, bounded_basis.begun(lowest), everywhere)
+        start, held = solved_in_turn([lowest, hold], loads, bounded_basis.begun(lowest), everywhere)
         feasible, effort = start.outcome != Outcome.INFEASIBLE, _effort(self, held)
         pulled = (start.outcome != Outcome.OPTIMAL) | (_line(fixed, start.basis).intercept <= 0)
         nothing = jnp.zeros_like(self.fall)
@@ -145,7 +133,7 @@ class ActuatedPolygon(NamedTuple):
             known=(start.outcome != Outcome.UNDECIDED) & (held.outcome != Outcome.UNDECIDED),
             hangs=jnp.zeros_like(feasible),
             start=start.basis,
-            effort=effort,
+            effort=effort if self.joints else None,  # of a box alone there is none: where it stands is all there is to say
         )
 
     def completed(self, survey: Survey, beyond: Bool[Array, "*n"]) -> Survey:
@@ -160,7 +148,7 @@ class ActuatedPolygon(NamedTuple):
         fixed = jax.tree.map(jax.lax.stop_gradient, self)
         wanted = survey.feasible & beyond | ~survey.standing
         programs = [fixed.standing(-1), fixed.standing(1)]
-        least, most = _in_turn(programs, [fixed.at_rest] * 2, fixed.ready, wanted)
+        least, most = solved_in_turn(programs, [fixed.at_rest] * 2, fixed.ready, wanted)
         standing = jnp.where(wanted, least.outcome != Outcome.INFEASIBLE, survey.standing)
         s_min, s_max = one_place(_bounded(self, -1, least), -_bounded(self, 1, most))
         lost = (least.outcome == Outcome.UNDECIDED) | (standing & (most.outcome == Outcome.UNDECIDED))
@@ -260,60 +248,14 @@ def _exact(polygon: ActuatedPolygon, basis: Basis, wrench: Array) -> Array:
     return wrench - basis.side * polygon.bound
 
 
-class _End(NamedTuple):
-    """What is kept of a program that was solved."""
-
-    basis: Basis
-    found: Float[Array, "m *n"]
-    """The weights of its columns, limits and wrench as they are."""
-    outcome: Int[Array, "*n"]
-
-
-class _Own(NamedTuple):
-    """What programs with the same rays do not share."""
-
-    free: Float[Array, "p m *n"]
-    target: Float[Array, "p m *n"]
-    bound: Float[Array, "p m *n"]
-    floor: Float[Array, "p *n"]
-
-
-def _stacked(programs: list[Program]) -> _Own:
-    """Of all, one behind the other."""
-    return _Own(*(jnp.stack([getattr(one, name) for one in programs]) for name in _Own._fields))
-
-
-def _in_turn(programs: list[Program], loads: list[Load], basis: Basis, active: Bool[Array, "*n"]) -> list[_End]:
-    """The ends of programs with the same rays in active lanes, each from the basis of the one before.
-
-    One loop for all, so that it is compiled once.
-    """
-    rays, scale, bound = programs[0].rays, programs[0].scale, programs[0].bound
-    nothing = _End(basis, jnp.zeros_like(bound), jnp.zeros(scale.shape, jnp.int32))
-    stacked = _stacked(programs)
-
-    def one(before: _End, step: tuple) -> tuple[_End, _End]:
-        own, wrench, exact = step
-        program = Program(rays, own.free, own.target, own.bound, scale, own.floor)
-        solution = bounded_simplex.solve(program, bounded_basis.renewed(program, before.basis), active)
-        found = bounded_basis.times(solution.basis.inverse, wrench - solution.basis.side * exact)
-        end = _End(solution.basis, found, solution.outcome)
-        return end, end
-
-    wrenches = jnp.stack([load.wrench for load in loads])
-    bounds = jnp.stack([jnp.where(program.bound > 0, bound, 0) for program in programs])
-    ends = jax.lax.scan(one, nothing, (stacked, wrenches, bounds))[1]
-    return [jax.tree.map(lambda x, k=k: x[k], ends) for k in range(len(programs))]
-
-
-def _free(polygon: ActuatedPolygon, program: Program, end: _End, wrench: Array) -> Float[Array, "*n"]:
+def _free(polygon: ActuatedPolygon, program: Program, end: Solved, wrench: Array) -> Float[Array, "*n"]:
     """The free variable at the end of a program, with this wrench to be carried; differentiable."""
     matrix = bounded_basis.columns(program, end.basis.chosen)
     carried = wrench - end.basis.side * polygon.bound
     return bounded_basis.weights(bounded_basis.normal_of(end.basis)[None], end.found, matrix, carried)[0]
 
 
-def _effort(polygon: ActuatedPolygon, hold: _End) -> Float[Array, "*n"]:
+def _effort(polygon: ActuatedPolygon, hold: Solved) -> Float[Array, "*n"]:
     """Share of the limits that holding still takes; infinite where no forces balance the weight, whatever the torques."""
     z = _free(polygon, polygon.holding(), hold, jnp.zeros_like(polygon.bound))
     noise = polygon.line.slack * polygon.line.weight * jnp.max(jnp.abs(bounded_basis.normal_of(hold.basis)), axis=0)
@@ -323,13 +265,13 @@ def _effort(polygon: ActuatedPolygon, hold: _End) -> Float[Array, "*n"]:
     return jnp.where(hold.outcome == Outcome.UNDECIDED, jnp.nan, jnp.where(endless, 0, effort))
 
 
-def _bounded(polygon: ActuatedPolygon, sign: int, end: _End) -> Float[Array, "*n"]:
+def _bounded(polygon: ActuatedPolygon, sign: int, end: Solved) -> Float[Array, "*n"]:
     """The free variable of `standing(sign)`, minus infinity where nothing bounds it."""
     bounded = (end.outcome == Outcome.OPTIMAL) & (end.basis.chosen[0] == FREE)
     return jnp.where(bounded, _place(polygon, sign, end), -jnp.inf)
 
 
-def _place(polygon: ActuatedPolygon, sign: int, end: _End) -> Float[Array, "*n"]:
+def _place(polygon: ActuatedPolygon, sign: int, end: Solved) -> Float[Array, "*n"]:
     """The free variable where the basis meets the weight itself; zero where that is all slack."""
     held = _free(polygon, polygon.standing(sign), end, polygon.at_rest.wrench)
     noise = polygon.line.slack * polygon.line.weight * jnp.max(jnp.abs(bounded_basis.normal_of(end.basis)), axis=0)
@@ -365,17 +307,17 @@ def _search(
     return boundary._replace(ending=jnp.where(lost, End.MAX_PIECES, boundary.ending).astype(jnp.int8)), marks
 
 
-def _first(polygon: ActuatedPolygon, walked: Bool[Array, "*n"]) -> list[_End]:
+def _first(polygon: ActuatedPolygon, walked: Bool[Array, "*n"]) -> list[Solved]:
     """The basis of the first piece; and in lanes without a floor, that of the largest alpha of the polygon.
 
     For the latter, force along the line, either way, is a ray like the others; the former has zeros in its place.
     """
     spare, widened = polygon.rays, polygon.rays.at[:, -1].set(polygon.per_acceleration)
     floorless = lambda end: walked & ((end.outcome == Outcome.UNBOUNDED) | (end.basis.chosen[0] != FREE))
-    before = _End(polygon.ready, jnp.zeros_like(polygon.bound), jnp.zeros(walked.shape, jnp.int32))
-    stacked = _stacked([polygon.at_start(), polygon.standing(1)])
+    before = Solved(polygon.ready, jnp.zeros_like(polygon.bound), jnp.zeros(walked.shape, jnp.int32))
+    stacked = stacked_programs([polygon.at_start(), polygon.standing(1)])
 
-    def one(before: _End, step: tuple) -> tuple[_End, _End]:
+    def one(before: Solved, step: tuple) -> tuple[Solved, Solved]:
         number, own, wrench = step
         lanes = jnp.where(number == 0, walked, floorless(before))
         rays = jax.lax.cond(number == 0, lambda: spare, lambda: widened)
@@ -383,7 +325,7 @@ def _first(polygon: ActuatedPolygon, walked: Bool[Array, "*n"]) -> list[_End]:
         basis = jax.lax.cond(number == 0, lambda: before.basis, lambda: bounded_basis.begun(program))
         solution = bounded_simplex.solve(program, basis, lanes)
         found = bounded_basis.times(solution.basis.inverse, wrench - solution.basis.side * polygon.bound)
-        end = _End(solution.basis, found, solution.outcome)
+        end = Solved(solution.basis, found, solution.outcome)
         return end, end
 
     wrenches = jnp.stack([polygon.falling.wrench, polygon.at_rest.wrench])

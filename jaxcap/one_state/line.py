@@ -180,8 +180,6 @@ def _line(polygon: Producer, survey: Survey, quick: bool, rising: bool) -> Line:
     lower = polygon.boundary(jnp.where(survey.feasible, jnp.inf, 0), rising, most=QUICK if quick else None)
     if isinstance(polygon, ActuatedPolygon) and not quick:
         survey = polygon.completed(survey, lower.ending != End.DIVERGES)
-    if isinstance(polygon, ActuatedPolygon) and not polygon.joints:
-        survey = survey._replace(effort=None)  # or a box would not count where the robot rests, as it does by faces
     standing = survey.standing & survey.feasible
     ahead = standing & (survey.s_min > 0) & survey.pulled_back
     same_alpha = tolerances(survey.s_max.dtype).same_alpha * polygon.size

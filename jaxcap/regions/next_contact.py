@@ -239,8 +239,15 @@ def _touchdown(sets: _Sets, states: _States, delays: np.ndarray) -> _Touchdown:
     alone = n * d == 1  # not side by side with copies of itself
     rows, times = (0, delays[0, 0]) if alone else (np.repeat(np.arange(n), d), delays.reshape(-1))
     coms, velocities, momenta = jax.tree.map(lambda field: field[rows], states)
-    besides: Any = {"specific_angular_momentum": momenta, "momentum_box": sets.momentum_box}
-    found = advance(sets.during, coms, velocities, times, sets.gravity, **besides)
+    found = advance(
+        sets.during,
+        coms,
+        velocities,
+        times,
+        sets.gravity,
+        specific_angular_momentum=momenta,
+        momentum_box=sets.momentum_box,
+    )
     of_rows = lambda field: np.asarray(field)[None] if alone else np.asarray(field)
     place = lambda field: of_rows(field).reshape(n, d, *of_rows(field).shape[1:])
     progress = place(found.progress)
@@ -279,8 +286,15 @@ def _scored_pairs(sets: _Sets, touchdown: _Touchdown, which: np.ndarray, state: 
     coms, velocities, momenta = jax.tree.map(lambda field: field.reshape(-1, 3)[state], vectors)
     cones = jax.tree.map(lambda leaf: leaf[which], sets.cones)
     limits = None if sets.actuation is None else jax.tree.map(lambda leaf: leaf[state % sets.candidates], sets.actuation)
-    besides: Any = {"specific_angular_momentum": momenta, "momentum_box": sets.momentum_box}
-    found = score(cones, coms, velocities, sets.gravity, actuation=limits, **besides)
+    found = score(
+        cones,
+        coms,
+        velocities,
+        sets.gravity,
+        specific_angular_momentum=momenta,
+        actuation=limits,
+        momentum_box=sets.momentum_box,
+    )
     return tuple(np.asarray(field) for field in (found.margin, found.capturable, found.case, found.status))
 
 
