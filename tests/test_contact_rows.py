@@ -277,7 +277,7 @@ def test_both_forms_score_the_same(x64, monkeypatch, many):
 def test_faces_are_projected_once(x64, monkeypatch):
     seen, real = [], jaxcap.centroidal_cone
     monkeypatch.setattr(contact_rows, "MANY", 1)
-    monkeypatch.setattr(jaxcap, "centroidal_cone", lambda contacts, sides: seen.append(1) or real(contacts, sides))
+    monkeypatch.setattr(jaxcap, "centroidal_cone", lambda *given: seen.append(1) or real(*given))
     scorer = SharedSets(SETS)
     for _ in range(2):
         scorer.score(chosen(NUMBERS), COMS, VELOCITIES)
@@ -285,7 +285,7 @@ def test_faces_are_projected_once(x64, monkeypatch):
 
 
 def test_a_set_without_faces_is_scored_by_rays(x64, monkeypatch):
-    def fail(contacts, sides):
+    def fail(*_):
         raise ProjectionError("no")
 
     expected, _ = SharedSets(SETS).score(chosen(NUMBERS), COMS, VELOCITIES)
