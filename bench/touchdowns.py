@@ -14,6 +14,7 @@ them a margin above zero says "saved", and one that there is not (contacts are l
     arms, posture at 0      momentum, and `actuation` of the hand's place in the posture of t = 0
     arms, posture then      the posture at touchdown, as one who plans it knows it
     arms then, box          and a budget of 10 N m for the rate of angular momentum, after touchdown
+    arms then, box always   and before it too
     arms, state before      of the simulated state before the impact
     arms, state after       and after it
 
@@ -72,6 +73,7 @@ PREDICTIONS = (
     "arms, posture at 0",
     "arms, posture then",
     "arms then, box",
+    "arms then, box always",
     "arms, state before",
     "arms, state after",
 )
@@ -199,8 +201,13 @@ def predictions(robot: Robot, sample: Sample, moment: Moment) -> dict[str, list[
         "momentum": rank(momentum.margin, momentum.capturable),
         "without the hand": rank(momentum.margin_without, momentum.capturable & False),
     }
-    for name, limits in (("arms, posture at 0", early), ("arms, posture then", then)):
-        limited = ask(**spinning, actuation=limits)
+    box = BOX / pin.computeTotalMass(robot.model)
+    for name, limits, always in (
+        ("arms, posture at 0", early, 0.0),
+        ("arms, posture then", then, 0.0),
+        ("arms then, box always", then, box),
+    ):
+        limited = ask(**spinning, actuation=limits, momentum_box=always)
         found[name] = rank(limited.margin, limited.capturable)
     rays = jaxcap.cone_rays(stacked([feet + contact_set(wall.contact) for wall in moment.walls]))
     ridden = jaxcap.advance(
@@ -212,8 +219,7 @@ def predictions(robot: Robot, sample: Sample, moment: Moment) -> dict[str, list[
         "arms, state after": [centre(wall.robot, wall.sample.q, wall.sample.v) for wall in moment.walls],
     }
     for name, own in states.items():
-        box = BOX / pin.computeTotalMass(robot.model) * (name == "arms then, box")
-        found[name] = scored(rays, stacked(own * (len(moment.walls) // len(own))), then, box)
+        found[name] = scored(rays, stacked(own * (len(moment.walls) // len(own))), then, box * (name == "arms then, box"))
     lost = int(ridden.progress) in (jaxcap.Progress.TURNS, jaxcap.Progress.LEAVES)
     found["arms then, box"] = [-np.inf] * len(moment.walls) if lost else found["arms then, box"]
     return found
@@ -270,7 +276,7 @@ def falls(samples: Samples, count: int) -> np.ndarray:
 
 def touchdowns(options: argparse.Namespace, journal: Journal) -> dict[bool, list[list[Record]]]:
     """Of each fall, with or without torque limits; what the journal does not hold is run. Raises ValueError."""
-    settings = {"data": hashlib.sha256(DATA.read_bytes()).hexdigest(), "why": options.why, "version": 4}
+    settings = {"data": hashlib.sha256(DATA.read_bytes()).hexdigest(), "why": options.why, "version": 5}
     records = list(journal.records)
     if not records:
         journal.append(settings)
@@ -365,7 +371,7 @@ def reasons(units: list[list[Record]]) -> Iterator[str]:
     missed = [one for one in ones if margin(one, PLANNED) <= 0 and ended(one)["outcome"] == "stopped"]
     lost = sum(margin(one, PLANNED) == -np.inf for one in missed)
     yield f"- said fallen, saved: {len(missed)}; {lost} lose their contacts on the way, by the prediction"
-    for name in ("arms then, box", "arms, state before", "arms, state after"):
+    for name in ("arms then, box", "arms then, box always", "arms, state before", "arms, state after"):
         yield f"    - {name}: said saved {sum(margin(one, name) > 0 for one in missed)}"
     bent = [one["beyond"] for one in ones]
     yield f"- joints beyond their viability bounds after an impact: median {np.median(bent):.0f}, none {bent.count(0)} times"

@@ -62,6 +62,8 @@ class SimplexState(NamedTuple):
     """All have come to an end with inverses that are to be trusted."""
     room: Float[Array, "m *n"]
     """The bounds of the unit columns in the basis; zero for rays."""
+    careful: Bool[Array, "*n"]
+    """A pivot that was too small has spoilt an inverse: no such is taken any more."""
 
 
 def solve(program: Program, basis: Basis, active: Bool[Array, "*n"]) -> Solution:
@@ -72,7 +74,7 @@ def solve(program: Program, basis: Basis, active: Bool[Array, "*n"]) -> Solution
     outcome = jnp.full(active.shape, Outcome.UNDECIDED, jnp.int32)
     solution = Solution(basis, outcome, jnp.zeros(active.shape, jnp.int32))
     room = of_units(program.bound, basis.chosen)
-    start = SimplexState(solution, active, ~active, jnp.int32(0), ~active, ~jnp.any(active), room)
+    start = SimplexState(solution, active, ~active, jnp.int32(0), ~active, ~jnp.any(active), room, jnp.zeros_like(active))
     most = PIVOTS[0] + PIVOTS[1] * len(program.target)
 
     def one(state: SimplexState) -> SimplexState:
@@ -101,14 +103,17 @@ def _checked(program: Program, state: SimplexState) -> SimplexState:
 
     basis = jax.lax.cond(jnp.any(worn | lost), anew, lambda: better)
     running = (worn & first) | endless | lost
+    # An end that was none must not be taken for one where the search then finds no other.
+    outcome = jnp.where(running, Outcome.UNDECIDED, solution.outcome)
     return SimplexState(
-        solution=solution._replace(basis=basis),
+        solution=solution._replace(basis=basis, outcome=outcome),
         running=running,
         flat=state.flat & ~lost,
         steps=jnp.where(jnp.any(lost), 0, state.steps),
         again=state.again | running,
         checked=~jnp.any(running),
         room=jnp.where(lost, of_units(program.bound, basis.chosen), state.room),
+        careful=state.careful | worn & first,
     )
 
 
@@ -144,7 +149,7 @@ def _held(program: Program, state: SimplexState, bland: int) -> Held:
 
 def _step(program: Program, state: SimplexState) -> SimplexState:
     """One pivot, one unit column from one of its bounds to the other, or the end."""
-    (basis, outcome, pivots), running, flat, steps, again, checked, room = state
+    (basis, outcome, pivots), running, flat, steps, again, checked, room, careful = state
     bland = BLAND[0] + BLAND[1] * len(program.target)
     late = steps >= bland
     held = _held(program, state, bland)
@@ -155,7 +160,7 @@ def _step(program: Program, state: SimplexState) -> SimplexState:
     improves = running & (best > enough)
     entering = column_at(program.rays, basis, first_of(gain, jnp.where(late, enough, best)))
     direction = times(basis.inverse, entering.column)
-    leaving, way, side = _leaving(basis, held, direction, late)
+    leaving, way, side = _leaving(basis, held, direction, late, careful)
     own = jnp.sum(jnp.where(entering.row, program.bound, 0), axis=0)
     flips = improves & jnp.any(entering.row, axis=0) & (2 * own <= way)
     gives_way = jnp.any(leaving, axis=0)
@@ -172,7 +177,8 @@ def _step(program: Program, state: SimplexState) -> SimplexState:
     basis = basis._replace(side=jnp.where(flips & entering.row, -basis.side, basis.side))
     solution = Solution(basis, outcome.astype(jnp.int32), pivots + go)
     room = jnp.where(leaving & go, own, room)
-    return SimplexState(solution, go | flattens | (flips & ~falls), flat | flattens, steps + 1, again, checked, room)
+    running = go | flattens | (flips & ~falls)
+    return SimplexState(solution, running, flat | flattens, steps + 1, again, checked, room, careful)
 
 
 def _within_slack(program: Program, basis: Basis, held: Held) -> Bool[Array, "*n"]:
@@ -183,7 +189,7 @@ def _within_slack(program: Program, basis: Basis, held: Held) -> Bool[Array, "*n
 
 
 def _leaving(
-    basis: Basis, held: Held, direction: Float[Array, "m *n"], late: Bool[Array, ""]
+    basis: Basis, held: Held, direction: Float[Array, "m *n"], late: Bool[Array, ""], careful: Bool[Array, "*n"]
 ) -> tuple[Bool[Array, "m *n"], Float[Array, "*n"], Float[Array, "*n"]]:
     """The column that has to leave as another comes in (none, where none has to), after what way, and to which side."""
     size, out = jnp.abs(direction), held.missing != 0
@@ -194,7 +200,7 @@ def _leaving(
     above = jnp.where(out, jnp.abs(held.weights) - held.bound, jnp.maximum(ahead, 0))
     bland = 1 / (2.0 + jnp.abs(basis.chosen)).astype(size.dtype)
     preferred = jnp.where(late, bland, size)
-    falls = not_too_small(falls, above, size, held.zero)
+    falls = not_too_small(falls, above, size, held.zero, careful)
     leaving, found = leaving_of(falls, above, size, held.zero, preferred)
     leaving &= found
     pick = lambda values: jnp.sum(jnp.where(leaving, values, 0), axis=0)

@@ -254,6 +254,8 @@ class SimplexState(NamedTuple):
     """The search has been asked for once more."""
     checked: Bool[Array, ""]
     """All have come to an end with inverses that are to be trusted."""
+    careful: Bool[Array, "*n"]
+    """A pivot that was too small has spoilt an inverse: no such is taken any more."""
 
 
 def solve(program: Program, basis: Basis, active: Bool[Array, "*n"]) -> Solution:
@@ -264,7 +266,8 @@ def solve(program: Program, basis: Basis, active: Bool[Array, "*n"]) -> Solution
     """
     outcome = jnp.full(active.shape, Outcome.UNDECIDED, jnp.int32)
     solution = Solution(basis, outcome, jnp.zeros(active.shape, jnp.int32))
-    start = SimplexState(solution, active, ~active, jnp.int32(0), ~active, jnp.zeros((), bool))
+    none = jnp.zeros_like(active)
+    start = SimplexState(solution, active, ~active, jnp.int32(0), ~active, jnp.zeros((), bool), none)
 
     def one(state: SimplexState) -> SimplexState:
         searching = jnp.any(state.running) & (state.steps < MAX_PIVOTS)
@@ -274,9 +277,11 @@ def solve(program: Program, basis: Basis, active: Bool[Array, "*n"]) -> Solution
 
 
 def _checked(program: Program, state: SimplexState) -> SimplexState:
-    """Where pivots have spoilt an inverse beyond repair, its end was none: from a new one the search goes on.
+    """Where pivots have spoilt an inverse beyond repair, its end was none: from a new one the search goes on, and takes no
+    pivot so small. Where z falls without end but for such a pivot, which slack or rounding have made, it would else be taken
+    again and again.
 
-    So it does, once, with a better inverse where z falls without end: errors of the inverse may look like a way to fall. And
+    The search goes on, once, with a better inverse where z falls without end: errors of the inverse may look like a way to fall. And
     once from the very beginning where it has found no end: another way may lead past the pivots that are too small.
     """
     solution, late = state.solution, state.steps >= MAX_PIVOTS
@@ -292,18 +297,21 @@ def _checked(program: Program, state: SimplexState) -> SimplexState:
 
     basis = jax.lax.cond(jnp.any(worn | lost), anew, lambda: better)
     running = worn | endless | lost
+    # An end that was none must not be taken for one where the search then finds no other.
+    outcome = jnp.where(running, Outcome.UNDECIDED, solution.outcome)
     return state._replace(
-        solution=solution._replace(basis=basis),
+        solution=solution._replace(basis=basis, outcome=outcome),
         running=running,
         steps=jnp.where(jnp.any(lost), 0, state.steps),
         again=state.again | endless | lost,
         checked=~jnp.any(running),
+        careful=state.careful | worn,
     )
 
 
 def _step(program: Program, state: SimplexState) -> SimplexState:
     """One pivot, or the end."""
-    (basis, outcome, pivots), running, flat, steps, again, checked = state
+    (basis, outcome, pivots), running, flat, steps, again, checked, careful = state
     late = steps >= BLAND
     weights = times(basis.inverse, program.target)
     zero = _zero(program, basis, weights, steps)
@@ -312,7 +320,7 @@ def _step(program: Program, state: SimplexState) -> SimplexState:
     entering, improves = _entering(program, normal, late)
     improves &= running
     direction = times(basis.inverse, ray(program.rays, entering))
-    leaving, gives_way = _leaving(basis, held, direction, late, zero)
+    leaving, gives_way = _leaving(basis, held, direction, late, zero, careful)
 
     go = improves & gives_way
     stuck = running & ~improves & held.seeking
@@ -324,7 +332,7 @@ def _step(program: Program, state: SimplexState) -> SimplexState:
     outcome = jnp.where(improves & ~gives_way, endless, outcome)
     basis = pivot(basis, leaving, entering, direction, go)
     solution = Solution(basis, outcome.astype(jnp.int32), pivots + go)
-    return SimplexState(solution, go | flattens, flat | flattens, steps + 1, again, checked)
+    return SimplexState(solution, go | flattens, flat | flattens, steps + 1, again, checked, careful)
 
 
 class Held(NamedTuple):
@@ -388,7 +396,12 @@ def _entering(
 
 
 def _leaving(
-    basis: Basis, held: Held, direction: Float[Array, "6 *n"], late: Bool[Array, ""], zero: Float[Array, "*n"]
+    basis: Basis,
+    held: Held,
+    direction: Float[Array, "6 *n"],
+    late: Bool[Array, ""],
+    zero: Float[Array, "*n"],
+    careful: Bool[Array, "*n"],
 ) -> tuple[Bool[Array, "6 *n"], Bool[Array, "*n"]]:
     """The column that has to leave as a ray comes in, of those that come to zero first, and whether there is one."""
     is_ray, is_unit, missing = basis.chosen >= 0, basis.chosen <= UNIT, held.missing != 0
@@ -397,19 +410,21 @@ def _leaving(
     above = jnp.where(missing, jnp.abs(held.weights), jnp.where(is_unit, 0, jnp.maximum(held.weights, 0)))
     bland = 1 / (2.0 + jnp.abs(basis.chosen)).astype(size.dtype)
     preferred = jnp.where(late, bland, size)
-    falls = not_too_small(falls, above, size, zero)
+    falls = not_too_small(falls, above, size, zero, careful)
     return leaving_of(falls, above, size, zero, preferred)
 
 
-def not_too_small(falls: Bool[Array, "m *n"], above: Array, size: Array, spare: Array) -> Bool[Array, "m *n"]:
+def not_too_small(
+    falls: Bool[Array, "m *n"], above: Array, size: Array, spare: Array, careful: Bool[Array, "*n"]
+) -> Bool[Array, "m *n"]:
     """Columns that may leave, arguments as `leaving_of` has them: such as give a pivot that is large enough.
 
     A small one only where there is no other, or where to leave it out would push its column far beyond zero: what that one
-    pivot does another mends, for ever.
+    pivot does another mends, for ever. And none where one has spoilt an inverse (`careful`).
     """
     large, falls = falls & (size > tolerances(size.dtype).pivot), falls & (size > SMALLEST[jnp.finfo(size.dtype).bits])
     step = jnp.min(jnp.where(large, (above + spare) / jnp.where(large, size, 1), jnp.inf), axis=0)
-    pushed = jnp.any(falls & ~large & (above + spare < step * size), axis=0)
+    pushed = jnp.any(falls & ~large & (above + spare < step * size), axis=0) & ~careful
     return jnp.where(pushed, falls, large)
 
 
