@@ -37,6 +37,8 @@ LEAST_FIT = 1e-3
 """A free column fits in another's place if its own share of it is at least this much of the largest."""
 SMALLEST = {64: 1e-12, 32: 1e-5}
 """Smallest pivot that is taken where there is no other, or where to leave it out would push a weight below zero."""
+LEAST_FALL = {64: 1e-9, 32: 2e-5}
+"""A ray outside the face by less than this, relative to the face's normal, makes nothing fall without end."""
 WORN = 0.1
 """Largest error of an inverse that a Newton step may mend: it squares the error."""
 
@@ -281,14 +283,17 @@ def _checked(program: Program, state: SimplexState) -> SimplexState:
     pivot so small. Where z falls without end but for such a pivot, which slack or rounding have made, it would else be taken
     again and again.
 
-    The search goes on, once, with a better inverse where z falls without end: errors of the inverse may look like a way to fall. And
-    once from the very beginning where it has found no end: another way may lead past the pivots that are too small.
+    The search goes on, once, with a better inverse where z falls without end: errors of the inverse may look like a way to
+    fall. And once from the very beginning where it has found no end: another way may lead past pivots that are too small.
     """
     solution, late = state.solution, state.steps >= MAX_PIVOTS
     better, error = _newton(program, solution.basis)
-    worn = (error > SPOILT[jnp.finfo(error.dtype).bits]) & (solution.outcome != Outcome.UNDECIDED) & ~late
+    at_end = (solution.outcome == Outcome.UNBOUNDED) & _flat_out(program, better)
+    solution = solution._replace(outcome=jnp.where(at_end, Outcome.OPTIMAL, solution.outcome))
+    spoilt = error > SPOILT[jnp.finfo(error.dtype).bits]
+    worn = spoilt & (solution.outcome != Outcome.UNDECIDED) & ~late
     endless = (solution.outcome == Outcome.UNBOUNDED) & ~state.again
-    lost = state.running & ~state.again
+    lost = (state.running | spoilt & late) & ~state.again
 
     def anew():
         beginning = jnp.full_like(solution.basis.chosen, UNIT).at[0].set(FREE)
@@ -298,7 +303,7 @@ def _checked(program: Program, state: SimplexState) -> SimplexState:
     basis = jax.lax.cond(jnp.any(worn | lost), anew, lambda: better)
     running = worn | endless | lost
     # An end that was none must not be taken for one where the search then finds no other.
-    outcome = jnp.where(running, Outcome.UNDECIDED, solution.outcome)
+    outcome = jnp.where(running | spoilt & late, Outcome.UNDECIDED, solution.outcome)
     return state._replace(
         solution=solution._replace(basis=basis, outcome=outcome),
         running=running,
@@ -307,6 +312,17 @@ def _checked(program: Program, state: SimplexState) -> SimplexState:
         checked=~jnp.any(running),
         careful=state.careful | worn,
     )
+
+
+def _flat_out(program: Program, basis: Basis) -> Bool[Array, "*n"]:
+    """Whether no ray is outside the face of this basis by more than LEAST_FALL.
+
+    So it is with all rays of a flat cone, but for their rounding, of which the inverse makes more. That z falls without end
+    along one of them is no more than rounding then: a robot would need forces of so many times its weight to slow down.
+    """
+    normal = combination((basis.chosen == FREE).astype(basis.inverse.dtype), basis.inverse)
+    best = jnp.max(jax.lax.optimization_barrier(combination(normal, program.rays)), axis=0)
+    return best <= LEAST_FALL[jnp.finfo(best.dtype).bits] * jnp.max(jnp.abs(normal), axis=0)
 
 
 def _step(program: Program, state: SimplexState) -> SimplexState:
