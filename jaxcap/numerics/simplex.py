@@ -343,8 +343,9 @@ def _step(program: Program, state: SimplexState) -> SimplexState:
     flattens = stuck & _within_slack(program, basis, held) & ~flat
     ending = jnp.where(stuck, Outcome.INFEASIBLE, Outcome.OPTIMAL)
     outcome = jnp.where(running & ~improves & ~flattens, ending, outcome)
-    # No column gives way: z falls without end. What is missing cannot fall so; then it was no more than rounding that fell.
-    endless = jnp.where(held.seeking, Outcome.INFEASIBLE, Outcome.UNBOUNDED)
+    # No column gives way: z falls without end. What is missing cannot fall so; then it was no more than rounding that fell,
+    # or the pivot that was there has been left out.
+    endless = jnp.where(held.seeking, jnp.where(careful, Outcome.UNDECIDED, Outcome.INFEASIBLE), Outcome.UNBOUNDED)
     outcome = jnp.where(improves & ~gives_way, endless, outcome)
     basis = pivot(basis, leaving, entering, direction, go)
     solution = Solution(basis, outcome.astype(jnp.int32), pivots + go)
