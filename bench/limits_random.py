@@ -92,8 +92,19 @@ class Expected(NamedTuple):
         return min(walk, UNHELD * (1 - self.effort)) if 1 < self.effort < np.inf else walk
 
 
+UNSOLVED = Expected(np.nan, np.nan, np.nan)
+"""HiGHS gives up on a program."""
+
+
 def expected(state: programs.State) -> Expected:
     """By linear programs; of states that may swing the effort alone."""
+    try:
+        return _expected(state)
+    except ArithmeticError:
+        return UNSOLVED
+
+
+def _expected(state: programs.State) -> Expected:
     effort, (s_min, s_max) = programs.effort(state), programs.static_interval(state)
     first = programs.least_acceleration(state, 0.0)
     if first is None or s_min > s_max:
@@ -140,7 +151,8 @@ def _compared(samples: list[Sample], known: list[Expected], dtype: str) -> dict[
     off = lambda figure, value: _farthest(figure[decided], value[decided])
     return {
         "undecided": int((~decided).sum()),
-        "swinging": int(np.isnan(margin).sum()),
+        "unsolved": int(np.isnan(effort).sum()),
+        "swinging": int((np.isnan(margin) & ~np.isnan(effort)).sum()),
         "unheld": int(unheld.sum()),
         "capturable": int(ours.capturable.sum()),
         "clear": int(clear.sum()),

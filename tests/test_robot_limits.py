@@ -281,6 +281,22 @@ def test_one_state_is_a_row_of_many_and_gradients_are_central_differences(sample
         np.testing.assert_allclose(slope, (ahead - behind) / (2 * step), rtol=2e-4, atol=1e-6, err_msg=str(k))
 
 
+def test_reverse_mode_is_forward_mode(sample):
+    """In limits and position."""
+    sets, posture = (jax.tree.map(lambda x: x[0], tree) for tree in (sample.contacts, sample.actuation))
+    rays = jaxcap.cone_rays(sets)
+
+    def figures(limit, com):
+        out = jaxcap.capturability(rays, com, sample.velocities[0], actuation=_with(posture, limit=limit))
+        return jnp.stack([out.max_speed, out.margin, out.effort])
+
+    places = jnp.asarray(posture.limit), jnp.asarray(sample.coms[0])
+    forward, reverse = (jacobian(figures, argnums=(0, 1))(*places) for jacobian in (jax.jacfwd, jax.jacrev))
+    for one, other in zip(forward, reverse, strict=True):
+        assert np.abs(one).max() > 0.1
+        np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-12)
+
+
 def test_wrong_shapes_and_values_are_named():
     jacobians, torque, limit = np.zeros((4, 3, 2)), np.zeros(2), np.ones(2)
     for field, arguments in {

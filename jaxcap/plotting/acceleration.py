@@ -39,7 +39,8 @@ def polygon(
         com: (3,) [m], in the contacts' frame, and so are velocity and gravity.
         com_velocity: (3,) [m/s].
         gravity: (3,) [m/s^2].
-        unlimited: Of the same contacts without the robot's limits: its polygon is drawn too, dashed.
+        unlimited: Of the same contacts without the robot's limits: its polygon is drawn too, dashed, as
+            far as the picture goes.
         binding: From `binding_joints`: which joints bind is said above the picture.
         ax: Axes to draw into; by default those of a new figure.
 
@@ -59,7 +60,7 @@ def polygon(
     )
     ax = axes_or_new(ax)
     region = line.region()
-    low, high = _limits(line, region if wider is None else np.concatenate([region, wider]))
+    low, high = _limits(line, region)
     ax.axhline(0, color=DARK, linewidth=0.8, zorder=1)
     if len(region):
         said = "feasible" if wider is None else "feasible for the robot's joints"
