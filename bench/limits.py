@@ -11,6 +11,11 @@ polygon goes on beyond the static region are left out of the latter, for there t
 Then, for `--faces`, one posture of each scenario (row `--row`) by faces, with the joints of the arms and no box: how many
 they are, the seconds of projection, and the speed on states around that posture's, over rays with the same posture and over
 the cone without limits; how many verdicts differ from those of rays, and at what margin at most. Needs the extra evaluation.
+
+    python -m bench.limits --random 1000 [--seed 0]
+
+compares instead so many states of each kind of `bench.limits_random`, of no robot, with the programs: `verdicts` differ
+among the `clear` ones; `max_speed`, `min_speed` and `effort` are the largest relative differences of all that are decided.
 """
 
 import argparse
@@ -22,6 +27,7 @@ import jax
 import numpy as np
 
 import jaxcap
+from bench import limits_random
 from bench.limited import Limited, limited
 from bench.timing import in_turn, ratio
 from reference import robot_limits as programs
@@ -137,8 +143,13 @@ def main() -> None:
     parser.add_argument("--check", type=int, default=100, help="states that HiGHS solves too")
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--box", type=float, default=0.11, help="momentum box per unit mass [m^2/s^2] (10 N m for TALOS)")
+    parser.add_argument("--random", type=int, metavar="N", help="compare so many random states of each kind instead")
+    parser.add_argument("--seed", type=int, default=0, help="of these")
     options = parser.parse_args()
     jax.config.update("jax_enable_x64", True)
+    if options.random:
+        _print(limits_random.lines(options.random, options.seed, options.dtypes))
+        return
     tables = (
         line(scenario, joints, dtype, options)
         for scenario in options.scenarios

@@ -21,6 +21,8 @@ from jaxcap.contacts.surfaces import rail as rail
 from jaxcap.contacts.surfaces import surface as surface
 from jaxcap.one_state.advance import Advanced as Advanced
 from jaxcap.one_state.advance import Progress as Progress
+from jaxcap.one_state.binding import BindingJoints as BindingJoints
+from jaxcap.one_state.binding import binding_joints as binding_joints
 from jaxcap.one_state.capturability import capturability as capturability
 from jaxcap.one_state.result import Capturability as Capturability
 from jaxcap.one_state.result import Case as Case

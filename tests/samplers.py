@@ -64,3 +64,43 @@ def random_samples(rng, count):
     for i in range(count):
         contacts = random_contacts(rng, 2 + i % 3)
         yield contacts, *random_state(rng, contacts[0])
+
+
+def hinges(rng, points, first, count=3):
+    """Jacobians (k, 3, count) of a chain of random hinges at the rectangle that begins with this point."""
+    jacobians = np.zeros((len(points), 3, count))
+    for joint in range(count):
+        axis, place = rng.normal(size=3), points[first] + rng.uniform(-0.4, 0.4, 3)
+        for point in range(first, first + 4):
+            jacobians[point, :, joint] = np.cross(axis / np.linalg.norm(axis), points[point] - place)
+    return jacobians
+
+
+def limited_stance(seed=3):
+    """Two feet nearly flat and a hand nearly upright beside them; three hinges to a foot, three to the hand.
+
+    Contacts, and of the posture Jacobians (12, 3, 6), gravity torques (6,) and limits (6,) per unit mass.
+    """
+    rng = np.random.default_rng(seed)
+    feet = [rectangle([0, side * 0.15, 0], rotation(*rng.uniform(-0.1, 0.1, 3))) for side in (-1, 1)]
+    hand = rectangle([0.5, 0.1, 0.9], rotation(0, -np.pi / 2, 0) @ rotation(*rng.uniform(-0.3, 0.3, 3)), 0.04, 0.03)
+    contacts = join(*feet, hand)
+    jacobians = np.concatenate([hinges(rng, contacts[0], 0), hinges(rng, contacts[0], 8)], axis=2)
+    # In foot and hand gravity's torque is borne by a force or by the joints.
+    return contacts, (jacobians, rng.uniform(-0.3, 0.3, 6), np.array([4.0, 4.0, 4.0, 0.25, 0.25, 0.25]))
+
+
+def limited_samples(rng, count):
+    """Two feet nearly flat and a hand nearly upright beside them, three hinges to each, a CoM between: `count` of them.
+
+    Yields contacts, posture (as of `limited_stance`, nine joints), com, com_velocity.
+    """
+    for _ in range(count):
+        tilt = lambda most: rng.uniform(-most, most, 3)
+        feet = [rectangle([rng.uniform(-0.1, 0.1), side * 0.15, 0], rotation(*tilt(0.2))) for side in (-1, 1)]
+        hand = rectangle([0.5, rng.uniform(-0.3, 0.3), 0.9], rotation(0, -np.pi / 2, 0) @ rotation(*tilt(0.4)), 0.04, 0.03)
+        contacts = join(*feet, hand)
+        com = np.array([0.05, 0, 0.8]) + rng.uniform(-0.15, 0.15, 3)
+        jacobians = np.concatenate([hinges(rng, contacts[0], first) for first in (0, 4, 8)], axis=2)
+        posture = jacobians, rng.normal(size=9), rng.uniform(1, 6, 9)
+        yield contacts, posture, com, rng.uniform(-0.8, 0.8, 3) * [1, 1, 0.3]

@@ -7,7 +7,7 @@ from pathlib import Path
 import jax
 import numpy as np
 import pytest
-from samplers import join, rectangle, rotation
+from samplers import hinges, limited_stance, rotation
 from scipy.optimize import linprog
 from scipy.spatial import ConvexHull
 
@@ -27,26 +27,9 @@ FIGURES = ("margin", "min_speed", "max_speed", "effort", "paper_margin", "distan
 BOX = 0.1
 
 
-def chain(rng, points, first):
-    """Jacobians (k, 3, 3) of three hinges at the rectangle that begins with this point."""
-    jacobians = np.zeros((len(points), 3, 3))
-    for joint in range(3):
-        axis, place = rng.normal(size=3), points[first] + rng.uniform(-0.4, 0.4, 3)
-        for point in range(first, first + 4):
-            jacobians[point, :, joint] = np.cross(axis / np.linalg.norm(axis), points[point] - place)
-    return jacobians
-
-
 def stance(seed=3):
-    """Two feet nearly flat and a hand nearly upright beside them; three hinges to a foot, three to the hand."""
-    rng = np.random.default_rng(seed)
-    feet = [rectangle([0, side * 0.15, 0], rotation(*rng.uniform(-0.1, 0.1, 3))) for side in (-1, 1)]
-    hand = rectangle([0.5, 0.1, 0.9], rotation(0, -np.pi / 2, 0) @ rotation(*rng.uniform(-0.3, 0.3, 3)), 0.04, 0.03)
-    points, frames, friction = join(*feet, hand)
-    jacobians = np.concatenate([chain(rng, points, 0), chain(rng, points, 8)], axis=2)
-    # In foot and hand gravity's torque is borne by a force or by the joints.
-    actuation = Actuation(jacobians, rng.uniform(-0.3, 0.3, JOINTS), [4.0, 4.0, 4.0, 0.25, 0.25, 0.25])
-    return jaxcap.ContactSet(points, frames, friction), actuation
+    contacts, posture = limited_stance(seed)
+    return jaxcap.ContactSet(*contacts), Actuation(*posture)
 
 
 CONTACTS, POSTURE = stance()
@@ -176,7 +159,7 @@ def test_what_cannot_be_is_named(change, message):
 
 def test_a_limb_on_two_links_is_for_rays():
     jacobians = POSTURE.jacobians.copy()
-    jacobians[:4, :, 3:] = chain(np.random.default_rng(5), CONTACTS.points, 0)[:4]
+    jacobians[:4, :, 3:] = hinges(np.random.default_rng(5), CONTACTS.points, 0)[:4]
     with pytest.raises(
         ValueError, match=r"contacts 0, 1, 2, 3, 8, 9, 10, 11 share joints and are on several links .*cone_rays"
     ):

@@ -1,5 +1,6 @@
 """`jaxcap score --robot`: the robot's torque limits and its angular momentum count where they are known."""
 
+import itertools
 import json
 
 import jax
@@ -58,6 +59,34 @@ def test_the_command_scores_with_limits_and_angular_momentum(log, robot, tmp_pat
     np.testing.assert_array_equal(found["status"].to_numpy(), expected.status)
     effort = found["effort"].to_numpy()
     assert np.isfinite(effort).sum() > 40 and (effort[np.isfinite(effort)] > 0).all()
+
+
+@pytest.mark.slow
+def test_limits_and_a_momentum_box_together(log, robot, tmp_path, capsys):
+    """As the library does with both; a larger box never lowers the largest speed, and leaves the effort as it is."""
+    found = {}
+    for box in (0.0, 0.1, 0.3):
+        output = tmp_path / f"{box}.parquet"
+        options = ["--momentum-box", str(box), "--dtype", "float64", "--batch-size", "50"]
+        assert main(["score", str(log), "--robot", "g1", "-o", str(output), *options]) == 0
+        table = pq.read_table(output)
+        found[box] = {name: table[name].to_numpy() for name in ("margin", "max_speed", "effort", "status", "capturable")}
+    capsys.readouterr()
+    states = robots.states(log, robot)
+    bearing = robots.actuation(robot.model, states.configuration, states.contacts, robot.patches)
+    momenta = states.angular_momentum / pin.computeTotalMass(robot.model)
+    with jax.enable_x64(True):
+        rays, options = jaxcap.cone_rays(states.contacts), {"specific_angular_momentum": momenta, "actuation": bearing}
+        expected = jaxcap.score(rays, states.com, states.com_velocity, momentum_box=0.1, **options)
+    for name, values in found[0.1].items():
+        np.testing.assert_allclose(values, getattr(expected, name), rtol=1e-9, atol=1e-9, err_msg=name)
+    speeds = [one["max_speed"] for one in found.values()]
+    known = np.isfinite(speeds).all(axis=0)
+    assert known.sum() > 40
+    for less, more in itertools.pairwise(speeds):
+        assert (more[known] >= less[known] * (1 - 1e-9)).all() and (more[known] > less[known] + 1e-3).any()
+        np.testing.assert_array_equal(np.isinf(less) & ~np.isinf(more), False)
+    np.testing.assert_allclose(found[0.3]["effort"], found[0.0]["effort"], rtol=1e-9)
 
 
 def test_pieces_have_one_size_and_the_limits_of_the_whole(log, robot, tmp_path):

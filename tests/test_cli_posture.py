@@ -61,13 +61,15 @@ def test_options_that_cannot_be_used(tmp_path, capsys, options, message):
 
 @pytest.mark.slow
 def test_the_map_is_that_of_the_posture(tmp_path, capsys):
-    """By faces as by rays, and its file says whose it is."""
+    """By faces as by rays, its effort too, and its file says whose it is."""
     output = tmp_path / "a.zarr"
     command = ["map", "--robot", "romeo", "--posture", "half_sitting", "--joints", "Ankle", "--dtype", "float64", *AXES]
-    assert main([*command, "-o", str(output)]) == 0
+    assert main([*command, "-o", str(output), "--quantity", "max_speed", "--quantity", "effort"]) == 0
     assert "half_sitting: limits of 4 joints" in capsys.readouterr().err
     with xarray.open_zarr(output) as found:
         assert "limits of 4 joints" in found.attrs["robot"] and "position" in found.attrs["contacts"]
+        assert found["effort"].dims == ("com_x",)
+        effort = np.repeat(found["effort"].values, 4)
         speeds, height = found["max_speed"].transpose("com_x", "heading").values.reshape(-1), float(found["com_z"])
     standing = posture_of("romeo", "half_sitting", 0, ("Ankle",))
     assert height == pytest.approx(standing.height, abs=1e-3)
@@ -77,7 +79,10 @@ def test_the_map_is_that_of_the_posture(tmp_path, capsys):
     velocities = np.column_stack([np.cos(heading), np.sin(heading), 0 * x])
     rays = jaxcap.cone_rays(standing.contacts)
     with jax.enable_x64(True):
-        expected = np.asarray(jaxcap.score(rays, coms, velocities, actuation=standing.actuation).max_speed)
+        limited = jaxcap.score(rays, coms, velocities, actuation=standing.actuation)
+        expected = np.asarray(limited.max_speed)
         plain = np.asarray(jaxcap.score(rays, coms, velocities).max_speed)
     np.testing.assert_allclose(speeds, expected, rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(effort, limited.effort, rtol=1e-6)
+    assert np.isfinite(effort).any()
     assert (expected < plain - 1e-3).any()

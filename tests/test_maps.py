@@ -285,7 +285,7 @@ def test_axes_that_cannot_be_used(axes, message):
     "options, message",
     [
         ({"quantities": ["height"]}, "quantity 'height' is not known"),
-        ({"quantities": ["effort"]}, "quantity 'effort' is not known"),
+        ({"quantities": ["effort"]}, "quantity 'effort' needs a robot's posture"),
         ({"quantities": ["max_speed", "max_speed"]}, "'max_speed' is given twice"),
         ({"quantities": []}, "quantities: none"),
         ({"quantities": "margin"}, "quantity 'margin' needs a speed"),

@@ -7,7 +7,7 @@ pin = pytest.importorskip("pinocchio")
 
 import jaxcap  # noqa: E402
 from jaxcap.errors import InputError  # noqa: E402
-from jaxcap.robots import ANYMAL_FEET, TALOS_CONTACTS, actuation, anymal, talos  # noqa: E402
+from jaxcap.robots import ANYMAL_FEET, TALOS_CONTACTS, actuation, anymal, joint_names, talos  # noqa: E402
 
 FRAMES = [patch.frame for name, patch in TALOS_CONTACTS.items() if name != "right_hand" for _ in range(4)]
 
@@ -112,6 +112,19 @@ def test_what_cannot_be_used_is_named(robot):
         actuation(robot.model, q, contacts, FRAMES, limits={"knee": 1.0})
 
 
+def test_names_are_those_of_the_columns(robot):
+    """Of many postures, and of one whose hand does not touch."""
+    q = postures(robot, 2)
+    contacts = contacts_of(robot, q)
+    feet = jaxcap.ContactSet(contacts.points[0], contacts.frames[0], contacts.friction[0], np.arange(12) < 8)
+    for sets, row in ((contacts, q), (feet, q[0])):
+        found, names = actuation(robot.model, row, sets, FRAMES), joint_names(robot.model, sets, FRAMES)
+        columns = [robot.model.joints[robot.model.getJointId(name)].idx_v for name in names]
+        known = robot.model.upperEffortLimit[columns] / pin.computeTotalMass(robot.model)
+        np.testing.assert_allclose(np.broadcast_to(known, found.limit.shape), found.limit)
+        assert any("arm" in name for name in names) == (sets is contacts)
+
+
 def test_only_joints_that_are_wanted(robot):
     q = postures(robot, 2)
     contacts = contacts_of(robot, q)
@@ -119,6 +132,7 @@ def test_only_joints_that_are_wanted(robot):
     found, whole = (actuation(robot.model, q, contacts, FRAMES, joints=joints) for joints in (arm, None))
     assert found.joints == len(arm) == 7
     np.testing.assert_array_equal(found.jacobians, whole.jacobians[..., 14:])
+    assert joint_names(robot.model, contacts, FRAMES, joints=arm) == arm
     with pytest.raises(InputError, match="joints: 'elbow' is no joint"):
         actuation(robot.model, q, contacts, FRAMES, joints=["elbow"])
     none = actuation(robot.model, q, contacts, FRAMES, joints=[])

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from samplers import join, rectangle, rotation
+from samplers import limited_samples, rotation
 
 import jaxcap
 from jaxcap import Actuation, Status
@@ -48,33 +48,11 @@ def _with(actuation, **changes):
     return Actuation(**{**fields, **changes})
 
 
-def _posture(rng, points):
-    """A chain of hinges for each rectangle: Jacobians (k, 3, n), gravity torques (n,), limits (n,)."""
-    jacobians = np.zeros((len(points), 3, JOINTS))
-    for limb in range(len(points) // 4):
-        for joint in range(CHAIN):
-            axis, place = rng.normal(size=3), points[4 * limb] + rng.uniform(-0.4, 0.4, 3)
-            axis /= np.linalg.norm(axis)
-            for point in range(4 * limb, 4 * limb + 4):
-                jacobians[point, :, CHAIN * limb + joint] = np.cross(axis, points[point] - place)
-    return jacobians, rng.normal(size=JOINTS), rng.uniform(1, 6, JOINTS)
-
-
-def _one(rng):
-    """Two feet nearly flat and a hand nearly upright beside them, a CoM between."""
-    tilt = lambda most: rng.uniform(-most, most, 3)
-    feet = [rectangle([rng.uniform(-0.1, 0.1), side * 0.15, 0], rotation(*tilt(0.2))) for side in (-1, 1)]
-    hand = rectangle([0.5, rng.uniform(-0.3, 0.3), 0.9], rotation(0, -np.pi / 2, 0) @ rotation(*tilt(0.4)), 0.04, 0.03)
-    points, frames, friction = join(*feet, hand)
-    com = np.array([0.05, 0, 0.8]) + rng.uniform(-0.15, 0.15, 3)
-    return (points, frames, friction), _posture(rng, points), com, rng.uniform(-0.8, 0.8, 3) * [1, 1, 0.3]
-
-
 @pytest.fixture(scope="module")
 def sample():
     """64 states, half of them with a momentum box."""
     rng = np.random.default_rng(12)
-    contacts, postures, coms, velocities = zip(*(_one(rng) for _ in range(STATES)), strict=True)
+    contacts, postures, coms, velocities = zip(*limited_samples(rng, STATES), strict=True)
     stacked = lambda parts: [np.stack(fields) for fields in zip(*parts, strict=True)]
     box = np.where(np.arange(STATES) % 2, 0.1, 0.0)
     sets = jaxcap.ContactSet(*stacked(contacts))
@@ -301,6 +279,22 @@ def test_one_state_is_a_row_of_many_and_gradients_are_central_differences(sample
         ahead, behind = (_slope(rays, values, along)[0] for values in moved)
         assert np.abs(slope[1 if k < 4 else 0]) > 1e-3
         np.testing.assert_allclose(slope, (ahead - behind) / (2 * step), rtol=2e-4, atol=1e-6, err_msg=str(k))
+
+
+def test_reverse_mode_is_forward_mode(sample):
+    """In limits and position."""
+    sets, posture = (jax.tree.map(lambda x: x[0], tree) for tree in (sample.contacts, sample.actuation))
+    rays = jaxcap.cone_rays(sets)
+
+    def figures(limit, com):
+        out = jaxcap.capturability(rays, com, sample.velocities[0], actuation=_with(posture, limit=limit))
+        return jnp.stack([out.max_speed, out.margin, out.effort])
+
+    places = jnp.asarray(posture.limit), jnp.asarray(sample.coms[0])
+    forward, reverse = (jacobian(figures, argnums=(0, 1))(*places) for jacobian in (jax.jacfwd, jax.jacrev))
+    for one, other in zip(forward, reverse, strict=True):
+        assert np.abs(one).max() > 0.1
+        np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-12)
 
 
 def test_wrong_shapes_and_values_are_named():

@@ -23,6 +23,7 @@ QUICK: dict[str, tuple[str, ...]] = {
         "test_the_oracle_agrees_with_the_pendulum",
     ),
     "test_angular_momentum.py": ("test_wrong_shapes_are_named",),
+    "test_binding_joints.py": ("test_what_cannot_be_used_is_named",),
     "test_batch.py": (
         "test_what_is_left_is_sorted_by_kind_and_slope[1]",
         "test_fields_have_their_types",
@@ -127,6 +128,7 @@ QUICK: dict[str, tuple[str, ...]] = {
         "test_more_friction_never_hurts",
         "test_margin",
     ),
+    "test_maps_of_effort.py": ("test_without_a_posture",),
     "test_maps.py": (
         "test_a_file_is_the_map_and_opens_without_us",
         "test_what_a_map_says_of_itself",
@@ -159,6 +161,7 @@ QUICK: dict[str, tuple[str, ...]] = {
     ),
     "test_next_contact.py": ("test_what_cannot_be_is_named[change0", "test_what_cannot_be_is_named[change1"),
     "test_plain_qp.py": (),
+    "test_plotting_limits.py": ("test_the_thick_line",),
     "test_plotting.py": (
         "test_a_window_clips_half_planes",
         "test_a_stance",

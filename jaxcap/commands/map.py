@@ -74,8 +74,8 @@ QUANTITIES
   min_speed and max_speed, the capturable speeds along each direction [m/s],
   are exact and need no speed: they are the whole kernel, and what is mapped
   where no speed is given. Otherwise capturable, margin and case.
-  --quantity NAME, perhaps several times: any column that jaxcap score writes
-  but effort.
+  --quantity NAME, perhaps several times: any column that jaxcap score writes;
+  effort with --robot, over com_x, com_y and com_z alone, and without a speed.
 
 OUT
   .zarr  Zarr, written piece by piece: may be larger than memory. While it grows

@@ -45,8 +45,9 @@ A SLICE
   --select NAME=VALUE, perhaps several times, chooses the value of another axis;
   the nearest grid point is taken, and angles may end in deg. Axes that are not
   named are taken at the middle of the map, headings and contact sets at the
-  first, and a note says so. The thick line is the zero level. Infinite figures
-  and those that are no numbers are hatched, and the legend says why.
+  first, and a note says so. The thick line is the zero level, of the effort
+  the level one. Infinite figures and those that are no numbers are hatched, and
+  the legend says why.
 
 FIGURE
   .png, .pdf or .svg; by default MAP with the extension .png. It is written

@@ -8,16 +8,17 @@ import jax
 import numpy as np
 from numpy.typing import DTypeLike
 
-from jaxcap.contacts.cone import ConeRays, centroidal_cone
+from jaxcap.contacts.actuation import ActuatedRays
+from jaxcap.contacts.cone import CentroidalCone, ConeRays, centroidal_cone
 from jaxcap.contacts.contact_set import ContactSet
 from jaxcap.contacts.conventions import ArrayLike
 from jaxcap.errors import InputError, needs_extra
-from jaxcap.files.fields import MAPPED, output_types
+from jaxcap.files.fields import FIELDS, output_types
 from jaxcap.files.plausibility import Plausibility, Stand
 from jaxcap.maps.blocks import Answers
 from jaxcap.maps.contact_axes import Mapped, contact_sets, given_sets, with_sets
 from jaxcap.maps.grid import CARTESIAN, POSITION, Grid, grid_of
-from jaxcap.one_state.decision import LIMITS
+from jaxcap.one_state.decision import AT_ANY_SPEED, LIMITS
 from jaxcap.version import __version__
 
 with needs_extra("maps", "jaxcap.maps"):
@@ -66,11 +67,13 @@ def checked(
     if not quantities:
         raise InputError("quantities: none (expected at least one)")
     for name in quantities:
-        if name not in MAPPED:
-            raise InputError(f"quantity {name!r} is not known (expected {', '.join(MAPPED)})")
+        if name not in FIELDS:
+            raise InputError(f"quantity {name!r} is not known (expected {', '.join(FIELDS)})")
         if quantities.count(name) > 1:
             raise InputError(f"quantity {name!r} is given twice")
-        if name not in LIMITS and not points.has_speed:
+        if name == "effort" and not _bears_effort(cone):
+            raise InputError("quantity 'effort' needs a robot's posture (expected --robot, or a cone from `actuated_cone`)")
+        if name not in AT_ANY_SPEED and not points.has_speed:
             raise InputError(f"quantity {name!r} needs a speed (expected an axis 'speed', or {', '.join(CARTESIAN)})")
     given = [values.dtype for values in axes.values() if hasattr(values, "dtype") and values.dtype.kind == "f"]
     wanted = np.result_type(*given or [np.float64], np.float32) if dtype is None else np.dtype(dtype)
@@ -142,6 +145,13 @@ def notes_of(sets: Sequence[ContactSet], points: Grid) -> tuple[str, ...]:
         fields = contacts.points, contacts.frames[..., 2], contacts.mask
         plausible.add(Stand(*(np.repeat(np.asarray(field)[None], len(coms), axis=0) for field in fields)), coms)
     return plausible.notes("of the map")
+
+
+def _bears_effort(cone: Mapped) -> bool:
+    """Whether it is of a posture whose joints bear only so much."""
+    if isinstance(cone, ActuatedRays):
+        return cone.actuation.joints > 0
+    return isinstance(cone, CentroidalCone) and cone.effort is not None
 
 
 def _cones(cone: Mapped, points: Grid, sides: int, progress: bool) -> tuple[list, dict[str, Any]]:

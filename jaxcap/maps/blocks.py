@@ -26,11 +26,13 @@ from jaxcap.contacts.cone import CentroidalCone
 from jaxcap.contacts.conventions import ArrayLike, FloatArray
 from jaxcap.maps.grid import CONTACTS, POSITION, Grid, look_up, look_up_momentum
 from jaxcap.numerics.whole import ceil_div
-from jaxcap.one_state.decision import LIMITS, capturability_along, capturability_at
+from jaxcap.one_state.decision import AT_ANY_SPEED, capturability_along, capturability_at
 from jaxcap.one_state.line import Cone, Motion
 
 REGION = 1 << 20
 """Most states of a region: a few megabytes of each figure."""
+OF_EFFORT = (*POSITION, *CONTACTS)
+"""Axes that the effort depends on."""
 SPEEDS = 1 << 9
 """Most speeds of a region: more would save nothing."""
 AHEAD = 4
@@ -95,7 +97,7 @@ class Answers:
     Args:
         cones: Of one contact set each, at the points of the grid's axes of contacts, the last one fastest.
         grid: Whose points are answered.
-        quantities: Fields of `Capturability`; without a speed in the grid, `LIMITS` only.
+        quantities: Fields of `Capturability`; without a speed in the grid, those `AT_ANY_SPEED` only.
         gravity: (3,) [m/s^2].
         dtype: Of the computation.
     """
@@ -133,7 +135,14 @@ class Answers:
 
     def dims(self, quantity: str) -> tuple[str, ...]:
         """The dimensions of a quantity: those of the grid, without the speed where it does not depend on that."""
-        return self._dims if self._shared_lines and quantity in LIMITS else self.grid.dims
+        if quantity == "effort":
+            return tuple(name for name in self.grid.dims if name in OF_EFFORT)
+        return self._dims if self._shared_lines and quantity in AT_ANY_SPEED else self.grid.dims
+
+    def held(self, region: Region) -> tuple[str, ...]:
+        """The quantities that a region has chunks of: the effort is written by the first of the regions that share it."""
+        first = all(part.start == 0 for name, part in region.slices.items() if name not in OF_EFFORT)
+        return tuple(name for name in self.quantities if first or name != "effort")
 
     def states(self, region: Region) -> int:
         """How many points of the grid lie in it."""
@@ -156,7 +165,7 @@ class Answers:
         for region, block in side_by_side(lambda item: (item[0], self._answered(*item)), items, ahead=AHEAD):
             blocks.append(block)
             if len(blocks) == len(starts(region)):
-                yield region, {name: self._assembled(region, name, blocks) for name in self.quantities}
+                yield region, {name: self._assembled(region, name, blocks) for name in self.held(region)}
                 blocks = []
 
     def _answered(self, region: Region, start: int) -> dict[str, Array | np.ndarray]:
@@ -181,6 +190,9 @@ class Answers:
         """A quantity of a region from those of its blocks."""
         shape, dims = region.shape(self._dims), self.dims(name)
         values = np.concatenate([block[name] for block in blocks])[: math.prod(shape)]
+        if name == "effort":  # where one direction is undecided, another says it
+            others = tuple(axis for axis, of in enumerate(self._dims) if of not in OF_EFFORT)
+            return np.fmax.reduce(values.reshape(shape), axis=others)
         if self._shared_lines and "speed" in dims:
             at_speeds = values[:, : region.shape(["speed"])[0]].reshape(*shape, -1)
             return np.ascontiguousarray(np.moveaxis(at_speeds, -1, dims.index("speed")))

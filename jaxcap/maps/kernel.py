@@ -61,8 +61,8 @@ def kernel_map(
             velocity_z [m/s]. heading counts from x towards y, pitch from the horizontal upwards; pitch and velocity_z may be
             left out, and are 0. With a speed perhaps also specific_angular_momentum_x, _y, _z [m^2/s], the robot's angular
             momentum about its CoM over its mass, 0 where left out; see `jaxcap.capturability`.
-        quantities: Fields of `Capturability`. By default capturable, margin and case; without velocity_* and speed,
-            min_speed and max_speed, which do not need one.
+        quantities: Fields of `Capturability`; effort of a posture only. By default capturable, margin and case; without
+            velocity_* and speed, min_speed and max_speed, which do not need one.
         gravity: (3,) [m/s^2].
         sides: Edges of the friction pyramids, for contacts.
         dtype: Of the computation and the figures; by default that of the arrays among the axes, or else float64, as far as
@@ -72,11 +72,11 @@ def kernel_map(
     Returns:
         A Dataset with the axes with more than one value, or a list of one, as dimensions in the order given, the others as
         coordinates without dimension, and a variable for each quantity; min_speed and max_speed have no dimension `speed`,
-        unless there is angular momentum. At speed zero the answers are those of a robot that stands still, see
-        `Status.NO_DIRECTION`. Everything has units;
-        `case` and `status` are int8 with flag_values and flag_meanings, and contact_set has them too if the sets have
-        names. The attributes hold contacts, those given, as the text of a contacts file, sides (both only where contacts
-        were given), gravity, dtype, conventions and version.
+        unless there is angular momentum, and effort has the dimensions of positions alone. At speed zero the answers are
+        those of a robot that stands still, see `Status.NO_DIRECTION`. Everything has units; `case` and `status` are int8
+        with flag_values and flag_meanings, and contact_set has them too if the sets have names. The attributes hold
+        contacts, those given, as the text of a contacts file, sides (both only where contacts were given), gravity, dtype,
+        conventions and version.
 
     Raises:
         InputError: Naming the axis, quantity or option that cannot be used, before anything is computed.

@@ -43,11 +43,13 @@ class Basis(NamedTuple):
 
 
 def times(matrix: Float[Array, "m k *n"], vector: Float[Array, "k *n"]) -> Float[Array, "m *n"]:
-    """Product, lane by lane.
+    """Product, lane by lane."""
+    return stored(_product(matrix, vector))
 
-    The sum is written out, for XLA's reductions over computed products are slow on a CPU.
-    """
-    return stored(cast(Array, sum(matrix[:, i] * vector[i] for i in range(len(vector)))))
+
+def _product(matrix: Float[Array, "m k *n"], vector: Float[Array, "k *n"]) -> Float[Array, "m *n"]:
+    """The sum is written out, for XLA's reductions over computed products are slow on a CPU."""
+    return cast(Array, sum(matrix[:, i] * vector[i] for i in range(len(vector))))
 
 
 def combination(vector: Float[Array, "m *n"], rows: Float[Array, "m k *n"]) -> Float[Array, "k *n"]:
@@ -96,7 +98,8 @@ def weights(
 @weights.defjvp
 def _weights_jvp(primals, tangents):
     (inverse, found, _, target), (_, _, matrix, moved) = primals, tangents
-    return times(inverse, target), times(inverse, moved - times(matrix, found))
+    # Tangents are not `stored`: a quotient by them has no transpose, and there would be no reverse mode.
+    return times(inverse, target), _product(inverse, moved - _product(matrix, found))
 
 
 def begun(program: Program) -> Basis:

@@ -20,7 +20,9 @@ from jaxcap.one_state.result import Capturability, Case, Status
 from jaxcap.one_state.swings import farthest_rest, swing
 
 LIMITS = ("min_speed", "max_speed")
-"""Fields that do not depend on the speed."""
+"""The capturable speeds of a direction."""
+AT_ANY_SPEED = (*LIMITS, "effort")
+"""Fields that do not depend on the speed; the effort does not on the direction either."""
 UNHELD = 0.5
 """Margin of a posture that cannot be held, for each part of the torque limits that it lacks [m/s]: it only orders states."""
 WALKED = ("status", "paper_margin", "distance", "time", "residual_speed")
@@ -52,9 +54,9 @@ def capturability_at(motion: Motion) -> Capturability:
 def capturability_along(motion: Motion, speeds: Num[Array, "k"], fields: tuple[str, ...]) -> dict[str, Array]:
     """Fields of `capturability` on lines of travel side by side, lanes last, at every one of k speeds [m/s], >= 0.
 
-    motion: its speed does not matter. `LIMITS` have shape (*n), the other fields (k, *n). Polygon, survey and walk are made
-    once for all speeds. At speed zero the answer is that of a zero velocity, but for `LIMITS`, which are those of the
-    direction.
+    motion: its speed does not matter. Fields `AT_ANY_SPEED` have shape (*n), the others (k, *n). Polygon, survey and walk
+    are made once for all speeds. At speed zero the answer is that of a zero velocity, but for `LIMITS`, which are those of
+    the direction.
     """
     line, finite = motion.line, motion.finite
     limits = _speeds(line)
@@ -65,13 +67,13 @@ def capturability_along(motion: Motion, speeds: Num[Array, "k"], fields: tuple[s
         rests = known & (speed == 0)
         moving = _answer(Motion(line, speed, known), limits)
         answer = jax.tree.map(functools.partial(jnp.where, rests), _still(line), moving)
-        return {name: getattr(answer, name) for name in fields if name not in LIMITS}
+        return {name: getattr(answer, name) for name in fields if name not in AT_ANY_SPEED}
 
     # Where each speed has loops of its own, side by side all would take as long as the slowest, and skip nothing.
     answers = jax.lax.map(at, speeds) if set(fields) & set(WALKED) else jax.vmap(at)(speeds)
-    largest = {"min_speed": limits.smallest, "max_speed": limits.largest}
-    answers |= {name: jnp.where(finite & limits.known, largest[name], jnp.nan) for name in LIMITS if name in fields}
-    return answers
+    of_line = {"min_speed": limits.smallest, "max_speed": limits.largest, "effort": _effort(line.survey)}
+    known = lambda value: jnp.where(finite & limits.known, value, jnp.nan)
+    return answers | {name: known(value) for name, value in of_line.items() if name in fields}
 
 
 def _speeds(line: Line) -> Speeds:

@@ -8,11 +8,14 @@ from matplotlib.axes import Axes
 
 from jaxcap.contacts.cone import CentroidalCone
 from jaxcap.contacts.conventions import GRAVITY, ArrayLike
-from jaxcap.plotting.style import BLUE, DARK, GREY, PALE, RED, axes_or_new, halo
+from jaxcap.one_state.binding import BindingJoints
+from jaxcap.plotting.style import BLUE, DARK, GREY, ORANGE, PALE, RED, axes_or_new, halo
 from jaxcap.plotting.travel import Travel, travel
 
 ABOVE = 0.12
 """Free space above and below the polygon, relative to its height."""
+NAMED = 3
+"""Joints that bind, at most, whose names are written."""
 
 
 def polygon(
@@ -21,6 +24,8 @@ def polygon(
     com_velocity: ArrayLike,
     *,
     gravity: ArrayLike = GRAVITY,
+    unlimited: CentroidalCone | None = None,
+    binding: BindingJoints | None = None,
     ax: Axes | None = None,
 ) -> Axes:
     """The accelerations that keep the contacts, over the positions along the line of travel, and what the CoM does there.
@@ -30,10 +35,13 @@ def polygon(
     the static region, in C3_2_2 the least deceleration, which still stops too early.
 
     Args:
-        cone: From `centroidal_cone`.
+        cone: From `centroidal_cone`, or of a robot's posture from `actuated_cone`.
         com: (3,) [m], in the contacts' frame, and so are velocity and gravity.
         com_velocity: (3,) [m/s].
         gravity: (3,) [m/s^2].
+        unlimited: Of the same contacts without the robot's limits: its polygon is drawn too, dashed, as
+            far as the picture goes.
+        binding: From `binding_joints`: which joints bind is said above the picture.
         ax: Axes to draw into; by default those of a new figure.
 
     Returns:
@@ -47,20 +55,37 @@ def polygon(
         Fig. 2 and Section III.
     """
     line = travel(cone, com, com_velocity, gravity)
+    wider = (
+        None if unlimited is None else travel(unlimited, com, com_velocity, gravity)._replace(window=line.window).region()
+    )
     ax = axes_or_new(ax)
     region = line.region()
     low, high = _limits(line, region)
     ax.axhline(0, color=DARK, linewidth=0.8, zorder=1)
     if len(region):
-        ax.fill(*region.T, facecolor=PALE, edgecolor=BLUE, linewidth=1.5, zorder=2, label="feasible")
+        said = "feasible" if wider is None else "feasible for the robot's joints"
+        ax.fill(*region.T, facecolor=PALE, edgecolor=BLUE, linewidth=1.5, zorder=2, label=said)
     else:
         ax.text(0.5, 0.9, "no acceleration keeps the contacts", transform=ax.transAxes, ha="center", color=DARK)
+    if wider is not None and len(wider):
+        style: Any = {"edgecolor": ORANGE, "linestyle": "--", "linewidth": 1.5}
+        ax.fill(*wider.T, fill=False, zorder=2, label="for the contacts alone", **style)
     static_region(ax, line)
     _draw_walk(ax, line, low)
-    ax.set(xlim=line.window, ylim=(low, high), title=line.verdict)
+    ax.set(xlim=line.window, ylim=(low, high), title=line.verdict + _binds(binding))
     ax.set(xlabel=r"position along the line of travel $\alpha$ [m]", ylabel=r"acceleration $\ddot\alpha$ [m/s$^2$]")
     ax.legend(loc="best", framealpha=0.9)
     return ax
+
+
+def _binds(binding: BindingJoints | None) -> str:
+    """Which joints do, the first of them by name."""
+    if binding is None:
+        return ""
+    names = [name if isinstance(name, str) else f"joint {name}" for name in binding.gains]
+    more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
+    said = f"what binds: {', '.join(names[:NAMED])}{more}" if names else "no joint binds"
+    return f"\n{said}"
 
 
 def static_region(ax: Axes, line: Travel) -> None:

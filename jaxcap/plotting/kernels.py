@@ -5,8 +5,10 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from jaxtyping import Bool, Float, Shaped
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.colors import BoundaryNorm, ListedColormap
+from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
@@ -34,8 +36,14 @@ ROUND_ANGLES = [1, 1.5, 3, 4.5, 6, 9, 10]
 """Ticks of angles are at multiples of these, and of ten times these."""
 ROUND_NUMBERS = [1, 2, 2.5, 5, 10]
 """Ticks of other figures are at multiples of these and their powers of ten, as Matplotlib's own are."""
+THICK = 2.2
+"""Width of the line where the verdict flips."""
 TICKS = 6
 """At most, beside each other: of a range of a few centimetres the numbers are as long as the way between Matplotlib's."""
+BORDERS = {"effort": (1.0, "the most that torques hold")}
+"""Levels at which a verdict flips, where these are not zero, and what the legend says of them."""
+ENDLESS = {"effort": "no torques hold it"}
+"""What an infinite figure means, where it is no speed."""
 TO_SCALE = ("m", "m/s")
 """Where both axes are of one of these units, the picture is to scale."""
 HATCHES = {"undecided": "xx", "at rest": "\\\\"}
@@ -82,10 +90,10 @@ def kernel_slice(
 ) -> Axes:
     """A plane of a map: a field of `Capturability` over two of its axes.
 
-    The zero level is a thick line, and contours below it are dashed. A field that is nowhere negative is grey where it is
-    zero, as far as the cell beside, where the others, continued in a straight line, would vanish. Infinite figures are
-    hatched, and so is, in another way, whatever is no number; the legend says why. `capturable`, `case` and `status` are
-    areas of colour. Angles are in degrees, in `selection` in radians.
+    The zero level is a thick line (of the effort, the level one), and contours below it are dashed. A field that is nowhere
+    negative is grey where it is zero, as far as the cell beside, where the others, continued in a straight line, would
+    vanish. Infinite figures are hatched, and so is, in another way, whatever is no number; the legend says why.
+    `capturable`, `case` and `status` are areas of colour. Angles are in degrees, in `selection` in radians.
 
     Args:
         dataset: From `jaxcap.maps`, or one like it: the coordinates and `quantity` with attributes `units` and `long_name`.
@@ -111,8 +119,8 @@ def kernel_slice(
     if quantity in CODES:
         _draw_codes(ax, across, along, values, quantity)
     else:
-        gaps, label = _gaps(plane, quantity, x, y), label_of(plane[quantity])
-        _draw_figures(ax, across, along, values.astype(float), gaps, label, levels, bar)
+        gaps, shown = _gaps(plane, quantity, x, y), bar and label_of(plane[quantity])
+        _draw_figures(ax, across, along, values.astype(float), gaps, quantity, levels, shown)
     for axis, array in ((ax.xaxis, plane[x]), (ax.yaxis, plane[y])):
         axis.set_label_text(label_of(array))
         if unit_of(array) == DEGREES:
@@ -176,19 +184,19 @@ def _draw_figures(
     along: Float[np.ndarray, " n"],
     values: Float[np.ndarray, "n m"],
     gaps: dict[str, Bool[np.ndarray, "n m"]],
-    label: str,
+    quantity: str,
     levels: int | Sequence[float] | None,
-    bar: bool,
+    bar: str | Literal[False],
 ) -> None:
-    """Contours of the figures, hatches where they are infinite or none."""
+    """Contours of the figures, hatches where they are infinite or none. bar: what it says."""
     finite = values[np.isfinite(values)]
     endless = np.isposinf(values)
     signs: dict[str, tuple[Any, dict[str, Any]]] = {
-        "at any speed": (endless, {"facecolor": "#fff7dc", "edgecolor": ORANGE, "hatch": "//"})
+        ENDLESS.get(quantity, "at any speed"): (endless, {"facecolor": "#fff7dc", "edgecolor": ORANGE, "hatch": "//"})
     }
     style_of = lambda why: {"facecolor": "white", "edgecolor": GREY, "hatch": HATCHES.get(why, "..")}
     signs |= {why: (where, style_of(why)) for why, where in gaps.items()}
-    handles = []
+    handles: list[Artist] = []
     for why, (where, style) in signs.items():
         if not where.any():
             continue
@@ -202,10 +210,14 @@ def _draw_figures(
         shown = np.ma.masked_invalid(values)
         filled = ax.contourf(across, along, shown, edges, cmap="cividis", extend=extend, zorder=2)
         if bar:
-            ax.figure.colorbar(filled, cax=ax.inset_axes(BESIDE), label=label)
+            ax.figure.colorbar(filled, cax=ax.inset_axes(BESIDE), label=bar)
         thin = edges[edges != 0]
         ax.contour(across, along, shown, thin, colors="white", linewidths=0.5, negative_linestyles="dashed", zorder=3)
-        if (finite <= 0).any() and (values > 0).any():
+        border, said = BORDERS.get(quantity, (0.0, ""))
+        if said and finite.min() <= border <= finite.max():
+            _thick(ax, across, along, shown, border)
+            handles.append(Line2D([], [], color="black", linewidth=THICK, label=said))
+        elif not said and (finite <= 0).any() and (values > 0).any():
             handles += _draw_zero(ax, across, along, values)
     if handles:
         ax.legend(handles=handles, loc="upper right", framealpha=0.9).set_zorder(8)
@@ -221,9 +233,16 @@ def _draw_zero(
     if never_negative:
         ax.contourf(across, along, signed, [-np.inf, 0], colors=[EMPTY], zorder=3)
     handles = [Patch(facecolor=EMPTY, label="zero")] if never_negative else []
-    zero = ax.contour(across, along, signed, [0], colors="black", linewidths=2.2, zorder=4)
-    zero.set_path_effects([*halo(4)])
+    _thick(ax, across, along, signed, 0)
     return handles
+
+
+def _thick(
+    ax: Axes, across: Float[np.ndarray, " m"], along: Float[np.ndarray, " n"], values: Float[np.ndarray, "n m"], level: float
+) -> None:
+    """The level where the verdict flips."""
+    line = ax.contour(across, along, values, [level], colors="black", linewidths=THICK, zorder=4)
+    line.set_path_effects([*halo(4)])
 
 
 def _continued(values: Float[np.ndarray, "n m"]) -> Float[np.ndarray, "n m"]:

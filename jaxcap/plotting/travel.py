@@ -73,6 +73,9 @@ class Travel(NamedTuple):
         if self.case == Case.UNDECIDED:
             return f"{CASES[self.case]}: {Status(int(self.out.status)).name.lower()}"
         said = "capturable" if self.out.capturable else "not capturable"
+        effort = float(self.out.effort)
+        if 1 < effort < np.inf:
+            return f"{said}: to hold still takes {effort:.2f} of the torque limits"
         return f"{said}: {CASES[self.case]}, margin {float(self.out.margin):+.2f} m/s"
 
     def region(self) -> Float[np.ndarray, "k 2"]:

@@ -41,4 +41,5 @@ from jaxcap.robots.patches import patches_yaml as patches_yaml
 from jaxcap.robots.patches import read_patches as read_patches
 from jaxcap.robots.soles import find_patches as find_patches
 from jaxcap.robots.torque_limits import actuation as actuation
+from jaxcap.robots.torque_limits import joint_names as joint_names
 from jaxcap.robots.touch import Touching as Touching

@@ -90,6 +90,30 @@ def actuation(
     return found
 
 
+def joint_names(
+    model: pin.Model,
+    contacts: ContactSet,
+    frames: Sequence[str] | Mapping[str, ContactPatch],
+    *,
+    joints: Collection[str] | None = None,
+) -> list[str]:
+    """Names of the joints that an `actuation` is of, in its order.
+
+    Args:
+        model: as `actuation` is given it, and so are the others.
+        contacts: of all postures.
+        frames: of the contacts.
+        joints: those that may count.
+
+    Raises:
+        InputError: as `actuation`.
+        ValueError: for frames of another number of contacts.
+    """
+    names = _frames_of(frames)
+    _, mask = _contacts(contacts, len(contacts.mask) if contacts.mask.ndim == 2 else 1, len(names))
+    return [model.names[joint.number] for joint in _joints(model, names, np.asarray(mask.any(axis=0)), joints)]
+
+
 def _frames_of(frames: Any) -> list[str]:
     """The frame of each contact."""
     if isinstance(frames, Mapping):
