@@ -279,11 +279,11 @@ def _answers(levels: list[_Level], lead: tuple[int, ...], sizes: list[int]) -> C
     path = best_of(last.margin, last.capturable)
     best = np.stack(np.unravel_index(np.maximum(path, 0), sizes), axis=-1)
     best = np.where(path[:, None] == NONE, NONE, best)
-    shaped = lambda field: field.reshape(*lead, *sizes)
+    shaped = lambda field, steps: field.reshape((*lead, *sizes[:steps]))
     names = ("margin", "capturable", "case", "status", "progress")
     return ContactSequences(
-        **{name: shaped(getattr(last, name)) for name in names},
-        needed=shaped(needed),
+        **{name: shaped(getattr(last, name), len(sizes)) for name in names},
+        needed=shaped(needed, len(sizes)),
         best=best if lead else best[0],
-        margins=tuple(level.margin.reshape(*lead, *sizes[:k]) for k, level in enumerate(levels)),
+        margins=tuple(shaped(level.margin, k) for k, level in enumerate(levels)),
     )
