@@ -242,3 +242,10 @@ def test_a_tree_that_is_too_large_says_how_large():
     step = ContactStep([HANDS[0]] * 26, 0.1)
     with pytest.raises(ValueError, match=rf"26 \* 26 \* 26 = 17,576 paths \(expected at most {sequences.MOST_PATHS:,}"):
         jaxcap.contact_sequences(FEET, COMS, VELOCITIES, [step] * 3)
+
+
+def test_no_states_have_no_answers():
+    none = jaxcap.contact_sequences(FEET, COMS[:0], VELOCITIES[:0], two_steps())
+    assert none.margin.shape == none.needed.shape == (0, 4, 3) and none.best.shape == (0, 2)
+    one = jaxcap.next_contacts(FEET, COMS[:0], VELOCITIES[:0], ALONE, 0.05)
+    assert one.margin.shape == one.margin_without.shape == (0, 4) and one.best.shape == (0,)
