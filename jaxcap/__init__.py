@@ -38,6 +38,9 @@ from jaxcap.regions.next_contact import NextContacts as NextContacts
 from jaxcap.regions.next_contact import next_contacts as next_contacts
 from jaxcap.regions.robustness import Robustness as Robustness
 from jaxcap.regions.robustness import robustness as robustness
+from jaxcap.regions.sequences import ContactSequences as ContactSequences
+from jaxcap.regions.sequences import ContactStep as ContactStep
+from jaxcap.regions.sequences import contact_sequences as contact_sequences
 from jaxcap.regions.support_distance import hull_distance as hull_distance
 from jaxcap.regions.support_distance import support_distance as support_distance
 from jaxcap.regions.support_polygon import SupportPolygon as SupportPolygon

@@ -190,6 +190,11 @@ QUICK: dict[str, tuple[str, ...]] = {
     ),
     "test_robot_limits.py": ("test_wrong_shapes", "test_actuation_of_other"),
     "test_second_opinion.py": (),
+    "test_sequences.py": (
+        "test_what_cannot_be_is_named",
+        "test_a_lifted_contact_is_not_lifted_again",
+        "test_a_tree_that_is_too_large",
+    ),
     "test_special_cases.py": (
         "test_inverted_pendulum_in_closed_form[faces-float64",
         "test_swings_below_a_support_in_closed_form[faces-float64",
