@@ -67,8 +67,9 @@ def push(
     constraints = contact_jacobian(robot, data, q, effectors)
     if zero_momentum:
         constraints = np.concatenate([constraints, pin.computeCentroidalMap(robot.model, data, q)[3:]])
-    # Directions are projected, not taken in a basis of the null space: the projection is unique, so rounding that differs
-    # from one processor to the next changes the outcome by as little.
+    # Directions are projected, not taken in a basis of the null space: the projection is unique but for rounding. That is
+    # enough on processors that round alike; on others (LAPACK has code of its own for each kind) hit-and-run, which is
+    # chaotic, makes another point of what differs by 1e-15. The files hold the velocities that were drawn.
     projection = np.eye(robot.model.nv) - np.linalg.pinv(constraints, rcond=RANK) @ constraints
     directions, places = rng.standard_normal((STEPS, robot.model.nv)), rng.random(STEPS)
     bounds = speed_bounds(robot, q)
