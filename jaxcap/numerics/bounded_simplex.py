@@ -63,7 +63,7 @@ class SimplexState(NamedTuple):
     room: Float[Array, "m *n"]
     """The bounds of the unit columns in the basis; zero for rays."""
     careful: Bool[Array, "*n"]
-    """A pivot that was too small has spoilt an inverse: no such is taken any more."""
+    """A pivot that was too small has spoilt an inverse: such a one no longer keeps z from falling without end."""
 
 
 def solve(program: Program, basis: Basis, active: Bool[Array, "*n"]) -> Solution:
@@ -200,7 +200,7 @@ def _leaving(
     above = jnp.where(out, jnp.abs(held.weights) - held.bound, jnp.maximum(ahead, 0))
     bland = 1 / (2.0 + jnp.abs(basis.chosen)).astype(size.dtype)
     preferred = jnp.where(late, bland, size)
-    falls = not_too_small(falls, above, size, held.zero, careful)
+    falls = not_too_small(falls, above, size, held.zero, careful & ~held.seeking)
     leaving, found = leaving_of(falls, above, size, held.zero, preferred)
     leaving &= found
     pick = lambda values: jnp.sum(jnp.where(leaving, values, 0), axis=0)

@@ -257,7 +257,7 @@ class SimplexState(NamedTuple):
     checked: Bool[Array, ""]
     """All have come to an end with inverses that are to be trusted."""
     careful: Bool[Array, "*n"]
-    """A pivot that was too small has spoilt an inverse: no such is taken any more."""
+    """A pivot that was too small has spoilt an inverse: such a one no longer keeps z from falling without end."""
 
 
 def solve(program: Program, basis: Basis, active: Bool[Array, "*n"]) -> Solution:
@@ -279,9 +279,9 @@ def solve(program: Program, basis: Basis, active: Bool[Array, "*n"]) -> Solution
 
 
 def _checked(program: Program, state: SimplexState) -> SimplexState:
-    """Where pivots have spoilt an inverse beyond repair, its end was none: from a new one the search goes on, and takes no
-    pivot so small. Where z falls without end but for such a pivot, which slack or rounding have made, it would else be taken
-    again and again.
+    """Where pivots have spoilt an inverse beyond repair, its end was none: from a new one the search goes on. Where nothing
+    but so small a pivot keeps z from falling without end, one that slack or rounding have made, it then falls: else that
+    pivot would be taken again and again.
 
     The search goes on, once, with a better inverse where z falls without end: errors of the inverse may look like a way to
     fall. And once from the very beginning where it has found no end: another way may lead past pivots that are too small.
@@ -343,9 +343,8 @@ def _step(program: Program, state: SimplexState) -> SimplexState:
     flattens = stuck & _within_slack(program, basis, held) & ~flat
     ending = jnp.where(stuck, Outcome.INFEASIBLE, Outcome.OPTIMAL)
     outcome = jnp.where(running & ~improves & ~flattens, ending, outcome)
-    # No column gives way: z falls without end. What is missing cannot fall so; then it was no more than rounding that fell,
-    # or the pivot that was there has been left out.
-    endless = jnp.where(held.seeking, jnp.where(careful, Outcome.UNDECIDED, Outcome.INFEASIBLE), Outcome.UNBOUNDED)
+    # No column gives way: z falls without end. What is missing cannot fall so; then it was no more than rounding that fell.
+    endless = jnp.where(held.seeking, Outcome.INFEASIBLE, Outcome.UNBOUNDED)
     outcome = jnp.where(improves & ~gives_way, endless, outcome)
     basis = pivot(basis, leaving, entering, direction, go)
     solution = Solution(basis, outcome.astype(jnp.int32), pivots + go)
@@ -427,21 +426,21 @@ def _leaving(
     above = jnp.where(missing, jnp.abs(held.weights), jnp.where(is_unit, 0, jnp.maximum(held.weights, 0)))
     bland = 1 / (2.0 + jnp.abs(basis.chosen)).astype(size.dtype)
     preferred = jnp.where(late, bland, size)
-    falls = not_too_small(falls, above, size, zero, careful)
+    falls = not_too_small(falls, above, size, zero, careful & ~held.seeking)
     return leaving_of(falls, above, size, zero, preferred)
 
 
 def not_too_small(
-    falls: Bool[Array, "m *n"], above: Array, size: Array, spare: Array, careful: Bool[Array, "*n"]
+    falls: Bool[Array, "m *n"], above: Array, size: Array, spare: Array, endless: Bool[Array, "*n"]
 ) -> Bool[Array, "m *n"]:
     """Columns that may leave, arguments as `leaving_of` has them: such as give a pivot that is large enough.
 
     A small one only where there is no other, or where to leave it out would push its column far beyond zero: what that one
-    pivot does another mends, for ever. And none where one has spoilt an inverse (`careful`).
+    pivot does another mends, for ever. And not where there is no other if z may fall without end (`endless`).
     """
     large, falls = falls & (size > tolerances(size.dtype).pivot), falls & (size > SMALLEST[jnp.finfo(size.dtype).bits])
     step = jnp.min(jnp.where(large, (above + spare) / jnp.where(large, size, 1), jnp.inf), axis=0)
-    pushed = jnp.any(falls & ~large & (above + spare < step * size), axis=0) & ~careful
+    pushed = jnp.any(falls & ~large & (above + spare < step * size), axis=0) & ~(endless & (step == jnp.inf))
     return jnp.where(pushed, falls, large)
 
 

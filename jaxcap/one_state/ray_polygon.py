@@ -129,9 +129,7 @@ class RayPolygon(NamedTuple):
         s_min, s_max = one_place(bounded(-1, first), -bounded(1, second))
         pulled = (start.outcome != Outcome.OPTIMAL) | (_line(fixed, start.basis).intercept <= 0)
         undecided = (start.outcome == Outcome.UNDECIDED) | (first.outcome == Outcome.UNDECIDED)
-        # Where there is a smallest alpha there are weights, and to find none for the largest is a contradiction.
-        none = (second.outcome == Outcome.UNDECIDED) | (second.outcome == Outcome.INFEASIBLE)
-        undecided |= standing & feasible & none
+        undecided |= standing & feasible & (second.outcome == Outcome.UNDECIDED)
         face = _normal(second.basis)
         hangs = standing & feasible & (jnp.sum(face * self.per_acceleration, axis=0) > 0)
         pivots = start.pivots + first.pivots + second.pivots
