@@ -8,7 +8,7 @@ travel turned by `radius`, speed changed by `band * speed`. radius is 1e-9 in do
 and 1e-3.
 
 The ball is searched: the state itself; every axis of CoM and velocity; random places in it; and, as the cone of rails, poles
-and points is flat and the states that it carries are a surface of no thickness, states of that surface nearby. What a
+and points is flat and the states that it carries are a surface of no thickness, the nearest state of that surface. What a
 flat cone forbids next to that surface is less than a solver's tolerance: there the equations themselves are asked. Contacts
 are taken as the exact numbers that they are after rounding to the dtype. Lengths are measured in `size` and times in
 sqrt(size): the tolerances of the solvers are then relative, whatever the width of the stance.
@@ -201,10 +201,6 @@ def _ball(state: State) -> Iterator[State]:
         amounts = rng.uniform(size=2)
         moved = _moved(state, amounts[0] * state.reach * _unit(move[3:]), amounts[1] * state.turn * _unit(move[:3]))
         yield moved._replace(speed=speeds[int(rng.integers(2))])
-    # Of a flat cone all of these but those on its surface are off it; on it the CoM can be moved too, such as off an edge.
-    for move in (*np.eye(6), *-np.eye(6), *moves):
-        moved = _moved(state, state.reach / 2 * _unit(move[:3]), state.turn / 2 * _unit(move[3:]))
-        yield from _on_the_surface(moved, within=0.5)
 
 
 def _unit(vector):
@@ -216,9 +212,8 @@ def _moved(state: State, place, turn) -> State:
     return state._replace(com=state.com + place, direction=_unit(state.direction + turn))
 
 
-def _on_the_surface(state: State, within: float = 1.0) -> Iterator[State]:
-    """Where the cone is flat, or flat within the ball: the nearest state that it carries, all along its line; if it is no
-    farther than this part of the ball's radius.
+def _on_the_surface(state: State) -> Iterator[State]:
+    """Where the cone is flat, or flat within the ball: the nearest state that it carries, all along its line.
 
     In the directions in which the cone has no extent the wrench has to vanish at rest, and change neither with the
     acceleration nor with alpha. With and without the condition on alpha: a point carries what moves towards it, too.
@@ -241,5 +236,5 @@ def _on_the_surface(state: State, within: float = 1.0) -> Iterator[State]:
             here = residual(x, terms)
             slope = np.column_stack([residual(x + e, terms) - here for e in np.eye(6)])
             x = x - np.linalg.lstsq(slope, here, rcond=1e-10)[0]
-        if np.linalg.norm(x[:3]) <= within and np.linalg.norm(x[3:]) <= within:
+        if np.linalg.norm(x[:3]) <= 1 and np.linalg.norm(x[3:]) <= 1:
             yield _moved(state, scales[:3] * x[:3], scales[3:] * x[3:])

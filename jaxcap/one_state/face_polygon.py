@@ -247,8 +247,10 @@ def _boundary_jvp(rising, most, primals, tangents):
     end = jnp.where(jnp.isfinite(found.end), found.end, 0)
     pick = lambda values: jnp.sum(jnp.where(final, values, 0), axis=0)
     intercept, slope = pick(pieces.intercept), pick(pieces.slope)
-    at = jnp.where(lower, jnp.inf, _crossings(rows, intercept, slope))
-    row = jnp.argmin(jnp.abs(at - end), axis=0)[None]
+    apart = jnp.abs(jnp.where(lower, jnp.inf, _crossings(rows, intercept, slope)) - end)
+    # Where several rows meet there, but for rounding, the first: rounding, which differs between processors, has no say.
+    nearest = jnp.min(apart, axis=0)
+    row = jnp.argmax(apart <= nearest + rows.line.slack * rows.size, axis=0)[None]
     at_wall = lambda values: jnp.take_along_axis(values, row, axis=0)[0]
     acceleration, rise = intercept + slope * end, pick(lines.intercept + lines.slope * end)
     past = at_wall(change.beyond) - at_wall(change.on_acceleration) * (acceleration - rows.fall)
