@@ -9,6 +9,7 @@ from processors import ROUNDS_AS_THEN
 
 import reference.tsid
 from reference.tsid.holding import effort
+from reference.tsid.push import contact_jacobian, speed_bounds
 from reference.tsid.robot import CONFIGURATIONS, EFFECTORS, configuration, load
 from reference.tsid.sampling import draw
 from reference.tsid.table import read
@@ -165,6 +166,11 @@ def test_committed_rows_are_this_robots(file):
     sample = draw(robot, settings["scenario"], settings["seed"], row["index"])
     assert len(row["q"]) == robot.model.nq and len(row["v"]) == robot.model.nv
     np.testing.assert_allclose(sample.q, row["q"], atol=1e-6)
+    velocity, names = np.array(row["v"]), [contact.effector for contact in sample.contacts]
+    moving = contact_jacobian(robot, robot.model.createData(), sample.q, names) @ velocity
+    np.testing.assert_allclose(moving, 0.0, atol=1e-5)
+    least, greatest = speed_bounds(robot, sample.q)
+    assert np.all((velocity[6:] >= least - 1e-5) & (velocity[6:] <= greatest + 1e-5))
     if ROUNDS_AS_THEN:
         np.testing.assert_allclose(sample.v, row["v"], atol=1e-5)
     assert row["effort"] == pytest.approx(effort(robot, sample.q, sample.contacts), rel=1e-5)

@@ -92,8 +92,6 @@ FIELDS = {
     ),
 }
 """The columns that are added to each row: the fields of `Capturability`, in that order."""
-MAPPED = {name: field for name, field in FIELDS.items() if name != "effort"}
-"""What a map of contacts can hold; that of a robot's posture holds the effort too."""
 BASELINES = {
     "capture_point_support": Field(
         "m",

@@ -1,4 +1,5 @@
 """Numbers: guarded functions, a bounded loop, a small simplex method. No word of robots.
 
-Begin with `guarded` (roots and divisions that meet zero, and every tolerance), then `simplex`. Imports no other room.
+Begin with `guarded` (roots and divisions that meet zero, and every tolerance), then `simplex_basis` and `simplex`. Imports
+no other room.
 """

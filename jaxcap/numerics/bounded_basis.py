@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxcap.numerics.guarded import tolerances
-from jaxcap.numerics.simplex import FREE, LEAST_FIT, LOST_UNIT, UNIT, largest
+from jaxcap.numerics.simplex_basis import FREE, LEAST_FIT, LOST_UNIT, UNIT, largest
 
 
 class Program(NamedTuple):

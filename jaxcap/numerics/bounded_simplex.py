@@ -31,7 +31,8 @@ from jaxcap.numerics.bounded_basis import (
     times,
 )
 from jaxcap.numerics.guarded import tolerances
-from jaxcap.numerics.simplex import FREE, SPOILT, UNIT, Outcome, first_of, leaving_of, not_too_small
+from jaxcap.numerics.simplex import SPOILT, Outcome, leaving_of, not_too_small
+from jaxcap.numerics.simplex_basis import FREE, UNIT, first_of
 
 PIVOTS = 40, 8
 """Most pivots of one program: so many, and so many for each row."""

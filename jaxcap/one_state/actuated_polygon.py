@@ -21,7 +21,8 @@ from jaxcap.contacts.actuation import ActuatedRays
 from jaxcap.numerics import bounded_basis, bounded_simplex
 from jaxcap.numerics.bounded_basis import Basis, Program
 from jaxcap.numerics.guarded import ratio, snapped, tolerances
-from jaxcap.numerics.simplex import FREE, UNIT, Outcome, largest, mixture
+from jaxcap.numerics.simplex import Outcome
+from jaxcap.numerics.simplex_basis import FREE, UNIT, largest, mixture
 from jaxcap.one_state.actuated_rows import Rows
 from jaxcap.one_state.basis_line import Carrying, first_met, line_of, one_place
 from jaxcap.one_state.boundary import Boundary, End

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxcap.numerics.guarded import snapped, tolerances
-from jaxcap.numerics.simplex import first_of
+from jaxcap.numerics.simplex_basis import first_of
 from jaxcap.one_state.walk import Affine
 from jaxcap.one_state.wrench_line import WrenchLine
 

@@ -13,9 +13,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Shaped
 
 from jaxcap.contacts.cone import ConeRays
-from jaxcap.numerics import simplex
+from jaxcap.numerics import simplex, simplex_basis
 from jaxcap.numerics.guarded import ratio, snapped, tolerances
-from jaxcap.numerics.simplex import FREE, UNIT, Basis, Outcome, Program, Solution
+from jaxcap.numerics.simplex import Outcome, Solution
+from jaxcap.numerics.simplex_basis import FREE, UNIT, Basis, Program
 from jaxcap.one_state.basis_line import Carrying, first_met, line_of, one_place
 from jaxcap.one_state.boundary import Boundary, End
 from jaxcap.one_state.polygon import Survey
@@ -142,7 +143,7 @@ class RayPolygon(NamedTuple):
             known=~undecided,
             hangs=hangs,
             near=Bases(start.basis, first.basis, second.basis, pivots),
-            start=start._replace(basis=simplex.improved(fixed.at_start(), start.basis)),
+            start=start._replace(basis=simplex_basis.improved(fixed.at_start(), start.basis)),
         )
 
     def boundary(
@@ -190,7 +191,7 @@ def ray_polygon(
     scaled = lambda wrench: jnp.concatenate([wrench[:3], wrench[3:] / line.length])
     columns = _beside(jnp.swapaxes(jnp.asarray(rays.rays, com.dtype), 0, 1), com.ndim + 1)
     columns = jax.lax.optimization_barrier(scaled(columns))
-    into = simplex.mixture(columns)
+    into = simplex_basis.mixture(columns)
 
     def load(wrench: Array, size: Array) -> Load:
         # A vertical line has nothing across it; but ties have to be broken there too.
@@ -231,14 +232,14 @@ def _solved(polygon: RayPolygon, near: Bases | None) -> tuple[Solution, Solution
         (basis, active), (turns, fields, similar) = before, given
         program = Program(polygon.rays, *fields)
         if similar is not None:
-            begin = simplex.renewed(program, similar)
+            begin = simplex_basis.renewed(program, similar)
         else:
             choose = functools.partial(jnp.where, turns)
-            begin = jax.tree.map(choose, _turned(basis), simplex.freed(program, basis))
+            begin = jax.tree.map(choose, _turned(basis), simplex_basis.freed(program, basis))
         found = simplex.solve(program, begin, active | ~turns)
         return (found.basis, active & (found.outcome != Outcome.INFEASIBLE)), found
 
-    begin = simplex.identity(polygon.fall.shape, polygon.fall.dtype), everywhere
+    begin = simplex_basis.identity(polygon.fall.shape, polygon.fall.dtype), everywhere
     found = jax.lax.scan(one, begin, (jnp.array([False, False, True]), own, bases))[1]
     start, least, most = (jax.tree.map(lambda field, k=k: field[k], found) for k in range(3))
     return start, least, most
@@ -251,13 +252,13 @@ def _turned(basis: Basis) -> Basis:
 
 def _normal(basis: Basis) -> Float[Array, "6 *n"]:
     """Of the face through the basis, pointing outwards, scaled such that its product with the free column is 1."""
-    return simplex.combination((basis.chosen == FREE).astype(basis.inverse.dtype), basis.inverse)
+    return simplex_basis.combination((basis.chosen == FREE).astype(basis.inverse.dtype), basis.inverse)
 
 
 def _place(polygon: RayPolygon, sign: int, basis: Basis) -> Float[Array, "*n"]:
     """The free variable of `standing(sign)` where the basis meets the weight itself; zero where that is all slack."""
-    normal, matrix = _normal(basis), simplex.columns(polygon.standing(sign), basis.chosen)
-    held = simplex.weights(basis.inverse, matrix, polygon.at_rest.wrench)
+    normal, matrix = _normal(basis), simplex_basis.columns(polygon.standing(sign), basis.chosen)
+    held = simplex_basis.weights(basis.inverse, matrix, polygon.at_rest.wrench)
     noise = polygon.line.slack * polygon.line.weight * jnp.max(jnp.abs(normal), axis=0)
     return snapped(jnp.sum(jnp.where(basis.chosen == FREE, held, 0), axis=0), noise)
 
@@ -304,13 +305,13 @@ def _first(polygon: RayPolygon, walked: Bool[Array, "*n"]) -> tuple[Solution, Bo
         choose = functools.partial(jnp.where, last)
         program = jax.tree.map(choose, polygon.standing(1), polygon.at_start())
         program = program._replace(rays=with_column(jnp.where(last, along, 0)))
-        return simplex.solve(program, jax.tree.map(choose, simplex.freed(program, begin), begin), active)
+        return simplex.solve(program, jax.tree.map(choose, simplex_basis.freed(program, begin), begin), active)
 
     def wall(found: Solution, floorless: Array) -> Array:
         bounded = floorless & (found.outcome == Outcome.OPTIMAL) & jnp.any(found.basis.chosen == FREE, axis=0)
         return jnp.where(bounded, -_place(polygon._replace(rays=with_column(along)), 1, found.basis), jnp.inf)
 
-    unit = simplex.identity(walked.shape, polygon.fall.dtype)
+    unit = simplex_basis.identity(walked.shape, polygon.fall.dtype)
     if polygon.outcome is not None:
         found = Solution(polygon.ready, polygon.outcome, jnp.zeros_like(polygon.outcome))
         floorless = fallen(found)
@@ -329,12 +330,12 @@ def _first(polygon: RayPolygon, walked: Bool[Array, "*n"]) -> tuple[Solution, Bo
 def _follow(polygon: RayPolygon, alpha: Array, basis: Basis) -> Next:
     """Where the first weight of the basis comes to zero, and the basis with the ray that takes over."""
     end, leaving, grows = _end(polygon, basis)
-    row = simplex.combination(leaving.astype(end.dtype), basis.inverse) * jnp.where(grows, -1, 1)
+    row = simplex_basis.combination(leaving.astype(end.dtype), basis.inverse) * jnp.where(grows, -1, 1)
     normal = _normal(basis)
-    outside, entry = simplex.combination(normal, polygon.rays), simplex.combination(-row, polygon.rays)
+    outside, entry = simplex_basis.combination(normal, polygon.rays), simplex_basis.combination(-row, polygon.rays)
     entering, leaves = first_met(outside, entry, normal, row)
-    direction = simplex.times(basis.inverse, simplex.ray(polygon.rays, entering))
-    following = simplex.pivot(basis, leaving, entering, direction, ~leaves & (end < jnp.inf))
+    direction = simplex_basis.times(basis.inverse, simplex_basis.ray(polygon.rays, entering))
+    following = simplex_basis.pivot(basis, leaving, entering, direction, ~leaves & (end < jnp.inf))
     return Next(end, leaves, _line(polygon, following), following)
 
 
@@ -352,18 +353,18 @@ class LineEnd(NamedTuple):
 def _end(polygon: RayPolygon, basis: Basis) -> LineEnd:
     """The ratio test of the dual simplex."""
     bounds, load = tolerances(polygon.fall.dtype), polygon.falling
-    held, rate = simplex.times(basis.inverse, load.target), simplex.times(basis.inverse, polygon.per_alpha)
+    held, rate = simplex_basis.times(basis.inverse, load.target), simplex_basis.times(basis.inverse, polygon.per_alpha)
     noise = jnp.max(jnp.abs(basis.inverse), axis=1) * jnp.max(jnp.abs(polygon.per_alpha), axis=0)
     unit = basis.chosen <= UNIT
     ends = (jnp.where(unit, jnp.abs(rate), -rate) > bounds.slack * noise) & (basis.chosen != FREE)
     above = jnp.where(unit, bounds.slack * load.scale - jnp.sign(rate) * held, held)
     at = jnp.where(ends, jnp.maximum(above, 0) / jnp.where(ends, jnp.abs(rate), 1), jnp.inf)
     first = jnp.min(at, axis=0)
-    _, leaving = simplex.largest(jnp.where(at <= first, jnp.abs(rate), 0))
+    _, leaving = simplex_basis.largest(jnp.where(at <= first, jnp.abs(rate), 0))
     of = lambda values: jnp.sum(jnp.where(leaving, values, 0), axis=0)
     # The target decides which column leaves, for it has no ties. Where that is, the wrench itself says: a way to go that is
     # all slack is none.
-    end = -ratio(of(simplex.times(basis.inverse, load.wrench)), of(rate))
+    end = -ratio(of(simplex_basis.times(basis.inverse, load.wrench)), of(rate))
     return LineEnd(jnp.where(first < jnp.inf, end, jnp.inf), leaving, jnp.any(leaving & unit & (rate > 0), axis=0))
 
 
@@ -377,13 +378,13 @@ def _boundary_jvp(rising, most, primals, tangents):
     def of_piece(piece):
         """Line of a basis and its end: values, then how they move."""
         index, real = piece
-        basis = simplex.factorised(polygon.at_start(), jnp.where(real, index, UNIT))
+        basis = simplex_basis.factorised(polygon.at_start(), jnp.where(real, index, UNIT))
         _, leaving, _ = _end(polygon, basis)
 
         def figures(polygon):
-            matrix = simplex.columns(polygon.at_start(), basis.chosen)
-            held = simplex.weights(basis.inverse, matrix, polygon.falling.wrench)
-            rate = simplex.weights(basis.inverse, matrix, polygon.per_alpha)
+            matrix = simplex_basis.columns(polygon.at_start(), basis.chosen)
+            held = simplex_basis.weights(basis.inverse, matrix, polygon.falling.wrench)
+            rate = simplex_basis.weights(basis.inverse, matrix, polygon.per_alpha)
             free = lambda values: jnp.sum(jnp.where(basis.chosen == FREE, values, 0), axis=0)
             out = lambda values: jnp.sum(jnp.where(leaving & (basis.chosen != FREE), values, 0), axis=0)
             return Affine(free(held) + polygon.fall, free(rate)), -ratio(out(held), out(rate))
@@ -404,9 +405,9 @@ def _wall_moved(polygon: RayPolygon, change: RayPolygon, found: Boundary, by_las
         return by_last
     ending = found.ending == End.POLYGON
     apart = _wall(polygon._replace(rays=polygon.jiggled()))
-    begin = simplex.freed(apart, simplex.identity(polygon.fall.shape, polygon.fall.dtype))
+    begin = simplex_basis.freed(apart, simplex_basis.identity(polygon.fall.shape, polygon.fall.dtype))
     solution = simplex.solve(apart, begin, ending)
-    basis = simplex.factorised(_wall(polygon), solution.basis.chosen)
+    basis = simplex_basis.factorised(_wall(polygon), solution.basis.chosen)
     place = lambda polygon: -_place(polygon._replace(rays=_wall(polygon).rays), 1, basis)
     at, moves = jax.jvp(place, (polygon,), (change,))
     # Not where they have another end: what is flat is not, when its contacts are moved.

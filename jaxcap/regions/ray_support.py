@@ -16,9 +16,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from jaxcap.contacts.cone import ConeRays
-from jaxcap.numerics import simplex
+from jaxcap.numerics import simplex, simplex_basis
 from jaxcap.numerics.guarded import tolerances
-from jaxcap.numerics.simplex import FREE, UNIT, Basis, Outcome, Program
+from jaxcap.numerics.simplex import Outcome
+from jaxcap.numerics.simplex_basis import FREE, UNIT, Basis, Program
 from jaxcap.regions.plane import Edge, Nearest, across, column, first_edge, upward, walk_around
 
 LOAD = 1e3
@@ -78,20 +79,22 @@ def _nearest(
     program: Program, positions: Array, points: Array, active: Bool[Array, "*n"]
 ) -> tuple[Nearest, Bool[Array, "*n"], Bool[Array, "*n"]]:
     """`nearest_of_rays` in lanes that are active, the walk beginning on the side of the first axis."""
-    start = simplex.identity(active.shape, points.dtype)
-    found = simplex.solve(program, simplex.freed(program, start), active)
+    start = simplex_basis.identity(active.shape, points.dtype)
+    found = simplex.solve(program, simplex_basis.freed(program, start), active)
     stands, decided = found.outcome == Outcome.OPTIMAL, found.outcome != Outcome.UNDECIDED
     slack_ray, same = program.rays.shape[1] - 1, tolerances(points.dtype).reduced_cost
 
     def follow(normal: Array, vertex: Array, corner: Corner) -> Edge:
         basis = corner.basis
         dual = _dual(positions, basis)
-        ways = positions - jnp.stack([simplex.combination(row, program.rays) for row in dual])
+        ways = positions - jnp.stack([simplex_basis.combination(row, program.rays) for row in dual])
         entering, sound = first_edge(normal, ways, 1 + jnp.max(jnp.abs(dual), axis=(0, 1)), same)
         exists = entering < ways.shape[1]
-        direction = simplex.times(basis.inverse, simplex.ray(program.rays, entering))
+        direction = simplex_basis.times(basis.inverse, simplex_basis.ray(program.rays, entering))
         leaving, pivots = _leaving(corner, direction)
-        following = _corner(program, simplex.pivot(basis, leaving, entering, direction, exists & pivots), corner.target)
+        following = _corner(
+            program, simplex_basis.pivot(basis, leaving, entering, direction, exists & pivots), corner.target
+        )
         way = column(ways, entering)
         way = way / jnp.where(exists, jnp.sqrt(jnp.sum(way * way, axis=0)), 1)
         loaded = jnp.any(basis.chosen == slack_ray, axis=0) | (entering == slack_ray)
@@ -99,7 +102,7 @@ def _nearest(
         return Edge(way, _position(positions, following), exists, loaded | ~exists, sound, following)
 
     # The pivots until here have spoilt the inverse.
-    first = _corner(program, simplex.factorised(program, found.basis.chosen), program.target)
+    first = _corner(program, simplex_basis.factorised(program, found.basis.chosen), program.target)
     nearest, sound = walk_around(follow, _position(positions, first), first, points, active & stands, MAX_EDGES)
     return nearest, stands, decided & (sound & first.sound | ~stands)
 
@@ -117,7 +120,7 @@ def _program(rays: ConeRays, up: Array, axes: Array) -> tuple[Program, Float[Arr
     positions = jnp.concatenate([positions, jnp.zeros_like(positions[:, :1])], axis=1)
     target = jnp.concatenate([up, jnp.array([0, 1, 0], up.dtype)])
     target = jnp.broadcast_to(target.reshape(6, *[1] * (columns.ndim - 2)), (6, *columns.shape[2:]))
-    target = target + tolerances(columns.dtype).slack * simplex.mixture(columns)
+    target = target + tolerances(columns.dtype).slack * simplex_basis.mixture(columns)
     return Program(columns, unit(5, 6), target, jnp.ones(columns.shape[2:], columns.dtype)), positions
 
 
@@ -130,15 +133,15 @@ def _at_basis(positions: Array, basis: Basis) -> Float[Array, "2 6 *n"]:
 def _dual(positions: Array, basis: Basis) -> Float[Array, "2 6 *n"]:
     """What a change of each row moves the CoM by."""
     own = _at_basis(positions, basis)
-    return jnp.stack([simplex.combination(own[i], basis.inverse) for i in range(2)])
+    return jnp.stack([simplex_basis.combination(own[i], basis.inverse) for i in range(2)])
 
 
 def _corner(program: Program, basis: Basis, target: Float[Array, "6 *n"]) -> Corner:
     """The vertex of a basis, its inverse improved."""
-    basis = simplex.improved(program, basis)
-    held = simplex.times(basis.inverse, target)
+    basis = simplex_basis.improved(program, basis)
+    held = simplex_basis.times(basis.inverse, target)
     missing = jnp.where(basis.chosen >= 0, jnp.maximum(-held, 0), 0)
-    moved = target + jnp.sum(simplex.columns(program, basis.chosen) * missing, axis=1)
+    moved = target + jnp.sum(simplex_basis.columns(program, basis.chosen) * missing, axis=1)
     sound = jnp.max(missing, axis=0) <= LOST * SHORT[jnp.finfo(held.dtype).bits]
     return Corner(basis, moved, held + missing, sound)
 
