@@ -40,6 +40,12 @@ def answered(cones, coms, velocities, momenta):
     return jax.tree.map(lambda *fields: np.concatenate(fields), *parts)
 
 
+def alike(cone, com, velocity, momentum):
+    """The answer of one state, by the program for TOGETHER of them."""
+    rows = (np.tile(x, (TOGETHER, 1)) for x in (com, velocity, momentum))
+    return jax.tree.map(lambda field: field[0], answered(stack([cone] * TOGETHER), *rows))
+
+
 def restacked(contacts, change):
     """Cones, one for each state, of the contacts after a change of the sampler's arrays."""
     built = {id(arrays): FORMS["faces"](contact_set(*change(*arrays))) for arrays in contacts}
@@ -143,9 +149,8 @@ def test_score_is_capturability_side_by_side(form):
     else:
         each = cones
     expected = answered(each, coms, velocities, momenta)
-    for neighbours in (False, True) if form == "rays" else (False,):
-        found = jaxcap.score(cones, coms, velocities, neighbours=neighbours, specific_angular_momentum=momenta)
-        assert_same(expected, jax.tree.map(np.asarray, found))
+    found = jaxcap.score(cones, coms, velocities, neighbours=form == "rays", specific_angular_momentum=momenta)
+    assert_same(expected, jax.tree.map(np.asarray, found))
 
 
 @forms
@@ -202,25 +207,21 @@ def test_a_row_that_is_not_finite_leaves_the_others_alone(dtype):
     jax.tree.map(lambda one, other: np.testing.assert_array_equal(one[::5], other[::5]), whole, found)
 
 
-@pytest.mark.parametrize("dtype", [np.float64, np.float32])
-@forms
+@pytest.mark.parametrize(("form", "dtype"), [("faces", np.float64), ("faces", np.float32), ("rays", np.float64)])
 def test_at_rest_it_does_not_count(form, dtype):
     """At zero velocity, and where the CoM's momentum is lost beside it, the question is whether the robot can stand."""
-    cone = FORMS[form](feet())
-    stands, falls = np.array([0.0, 0.0, 0.9], dtype), np.array([0.5, 0.0, 0.9], dtype)
-    momentum = np.array([0.1, -0.2, 0.3], dtype)
-    for com, capturable in ((stands, True), (falls, False)):
-        for speed in (0.0, 1e-14, 1e-30):
-            velocity = np.array([speed, 0, 0], dtype)
-            found = jaxcap.capturability(cone, com, velocity, specific_angular_momentum=momentum)
-            assert bool(found.capturable) == capturable
-            assert found.status == Status.NO_DIRECTION
-            assert np.isnan(found.margin)
-    # and just above, the verdict is the same: the way to rest is short
-    slow = np.array([1e-4, 0, 0], dtype)
-    found = [jaxcap.capturability(cone, com, slow, specific_angular_momentum=momentum) for com in (stands, falls)]
-    assert [bool(one.capturable) for one in found] == [True, False]
-    assert 0 < found[0].distance < 1e-4
+    places = np.array([[0.0, 0.0, 0.9], [0.5, 0.0, 0.9]], dtype)  # the robot can stand at the first
+    speeds = np.array([0.0, 1e-14, 1e-30, 1e-4], dtype)
+    # as many states as the program of the other tests has
+    rows = np.arange(TOGETHER) % 8
+    velocities = speeds[rows % 4, None] * np.array([1, 0, 0], dtype)
+    momenta = np.tile(np.array([0.1, -0.2, 0.3], dtype), (TOGETHER, 1))
+    cones = stack([FORMS[form](feet())] * TOGETHER)
+    found = jax.tree.map(lambda field: field[:8].reshape(2, 4), answered(cones, places[rows // 4], velocities, momenta))
+    # also just above: the way to rest is short
+    np.testing.assert_array_equal(found.capturable, [[True] * 4, [False] * 4])
+    assert (found.status[:, :3] == Status.NO_DIRECTION).all() and np.isnan(found.margin[:, :3]).all()
+    assert 0 < found.distance[0, 3] < 1e-4
 
 
 def test_angular_momentum_that_brakes_and_that_does_not():
@@ -233,18 +234,12 @@ def test_angular_momentum_that_brakes_and_that_does_not():
     com, velocity = np.array([0.0, 0.0, height]), np.array([speed, 0.0, 0.0])
     momentum = -np.cross(com, velocity)
     for form in FORMS:
-        cone = FORMS[form](point)
-        without = jaxcap.capturability(cone, com, velocity)
-        assert not without.capturable
         # about the foot: c x cdot + L/m = 0 for ever, so gravity may have no torque there either: it must stop at once
-        against = jaxcap.capturability(cone, com, velocity, specific_angular_momentum=momentum)
-        assert not against.capturable
+        for share in (0, 1):
+            assert not alike(FORMS[form](point), com, velocity, share * momentum).capturable
     pair = jaxcap.rectangle((0.0, 0.0, 0.0), np.eye(3), 0.1, 0.1, 0.5)
     behind = np.array([-0.05, 0.0, height])
-    speeds = [
-        float(jaxcap.capturability(FORMS["faces"](pair), behind, velocity, specific_angular_momentum=k * momentum).max_speed)
-        for k in (-0.5, 0.0, 0.5)
-    ]
+    speeds = [float(alike(FORMS["faces"](pair), behind, velocity, k * momentum).max_speed) for k in (-0.5, 0.0, 0.5)]
     assert speeds[0] < speeds[1] < speeds[2]
 
 

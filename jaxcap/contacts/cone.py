@@ -185,16 +185,27 @@ def cone_rays(contacts: ContactSet, sides: int = 4) -> ConeRays:
         ValueError: if sides < 3.
     """
     local, origin = centred(contacts)
-    local = jax.tree.map(jnp.asarray, local)
-    # Where torques are taken about changes nothing, nor does their scale: no gradient.
-    points = jax.lax.stop_gradient(local.points)
-    square = jnp.max(jnp.sum(jnp.where(local.mask[..., None], points, 0) ** 2, axis=-1), axis=-1, initial=0)
-    apart = square > _same_place(contacts) ** 2
-    length = jnp.where(apart, jnp.sqrt(jnp.where(apart, square, 1)), 1)
-    mask = jnp.repeat(local.mask, sides, axis=-1)
-    rays = wrench_rays(local, sides, jnp.zeros_like(points[..., 0, :]))
-    alike = jnp.full(length.shape, sides, jnp.int32)
+    # One set in NumPy stays so to the end: JAX would compile every number of contacts anew. With many sets JAX is faster.
+    alone = contacts.points.ndim == 2 and all(isinstance(leaf, np.ndarray) for leaf in jax.tree.leaves(local))
+    spanned = _spanned if alone else _spanned_by_jax
+    rays, mask, length = map(jnp.asarray, spanned(local, _same_place(contacts), sides))
+    alike = jnp.asarray(np.full(length.shape, sides, np.int32))
     return ConeRays(rays=rays, mask=mask, origin=origin, length=length, sides=alike)
+
+
+def _spanned(local: ContactSet, same_place: Any, sides: int) -> tuple[Any, Any, Any]:
+    """Rays, mask and length of contacts about their centroid; of NumPy's, the length of one set is a NumPy scalar."""
+    xp: Any = local.points.__array_namespace__()
+    # Where torques are taken about changes nothing, nor does their scale: no gradient.
+    points = local.points if isinstance(local.points, np.ndarray) else jax.lax.stop_gradient(local.points)
+    square = xp.max(xp.sum(xp.where(local.mask[..., None], points, 0) ** 2, axis=-1), axis=-1, initial=0)
+    apart = square > same_place**2
+    length = xp.where(apart, xp.sqrt(xp.where(apart, square, 1)), 1)
+    rays = wrench_rays(local, sides, xp.zeros_like(points[..., 0, :]))
+    return rays, xp.repeat(local.mask, sides, axis=-1), length
+
+
+_spanned_by_jax = jax.jit(_spanned, static_argnames="sides")
 
 
 def centred(contacts: ContactSet) -> tuple[ContactSet, FloatArray]:

@@ -89,27 +89,20 @@ class ActuatedPolygon(NamedTuple):
         """The same, with a basis to start from."""
         return self._replace(start=survey.start)
 
-    def flipped(self) -> "ActuatedPolygon":
-        """With the acceleration's sign turned: its lower boundary is minus the upper boundary of this one."""
-        return self._replace(
-            per_acceleration=-self.per_acceleration,
-            forward=-self.forward,
-            fall=-self.fall,
-            start=bounded_basis.turned(self.ready),
-        )
-
-    def seen_from(self, start: Float[Array, "*n"], heading: int | Float[Array, ""]) -> "ActuatedPolygon":
-        """With alpha counted from `start`, onwards (heading +1) or back (-1); so is the acceleration."""
+    def seen(
+        self, start: Float[Array, "*n"], heading: int | Float[Array, ""], acceleration: int | Float[Array, ""]
+    ) -> "ActuatedPolygon":
+        """As `Producer` has it."""
         turned = bounded_basis.turned(self.ready)
-        choose = lambda same, other: jnp.where(jnp.asarray(heading) > 0, same, other)
+        same = jnp.asarray(acceleration) > 0
         return self._replace(
-            per_acceleration=heading * self.per_acceleration,
-            forward=heading * self.forward,
+            per_acceleration=acceleration * self.per_acceleration,
+            forward=acceleration * self.forward,
             per_alpha=heading * self.per_alpha,
             at_rest=self.at_rest.moved(self.per_alpha * start),
             falling=self.falling.moved(self.per_alpha * start),
-            fall=heading * self.fall,
-            start=jax.tree.map(choose, self.ready, turned),
+            fall=acceleration * self.fall,
+            start=jax.tree.map(lambda one, other: jnp.where(same, one, other), self.ready, turned),
         )
 
     def survey(self, near: Any = None) -> Survey:
@@ -165,12 +158,12 @@ class ActuatedPolygon(NamedTuple):
     def boundary(
         self,
         limit: Float[Array, "*n"],
-        rising: bool = False,
+        rising: bool | Bool[Array, ""] = False,
         most: int | None = None,
         enough: Float[Array, "*n"] | None = None,
     ) -> Boundary:
         """The lower boundary, as `Producer` has it."""
-        return _boundary(self, *jax.lax.stop_gradient((limit.astype(self.fall.dtype), enough)), rising, most)
+        return _boundary(self, *jax.lax.stop_gradient((limit.astype(self.fall.dtype), enough)), jnp.asarray(rising), most)
 
     def at_start(self) -> Program:
         """The program of the smallest acceleration at alpha = 0, (25); the free variable is the acceleration less `fall`."""
@@ -279,9 +272,9 @@ def _place(polygon: ActuatedPolygon, sign: int, end: Solved) -> Float[Array, "*n
     return snapped(held, noise)
 
 
-@functools.partial(jax.custom_jvp, nondiff_argnums=(3, 4))
+@functools.partial(jax.custom_jvp, nondiff_argnums=(4,))
 def _boundary(
-    polygon: ActuatedPolygon, limit: Float[Array, "*n"], enough: Array | None, rising: bool, most: int | None
+    polygon: ActuatedPolygon, limit: Float[Array, "*n"], enough: Array | None, rising: Array, most: int | None
 ) -> Boundary:
     return _search(polygon, limit, enough, rising, most, lambda basis: ())[0]
 
@@ -290,7 +283,7 @@ def _search(
     polygon: ActuatedPolygon,
     limit: Array,
     enough: Array | None,
-    rising: bool,
+    rising: Array,
     most: int | None,
     mark: Callable[[Basis], Any],
 ) -> tuple[Boundary, Any]:
@@ -392,9 +385,9 @@ def _end(polygon: ActuatedPolygon, basis: Basis) -> LineEnd:
 
 
 @_boundary.defjvp
-def _boundary_jvp(rising, most, primals, tangents):
+def _boundary_jvp(most, primals, tangents):
     """The search for the bases is not differentiated; the lines that belong to them are."""
-    (polygon, limit, enough), (change, *_) = primals, tangents
+    (polygon, limit, enough, rising), (change, *_) = primals, tangents
     found, bases = _search(polygon, limit, enough, rising, most, lambda basis: (basis.chosen, basis.side))
     final = jnp.isinf(found.pieces.right)
 

@@ -17,7 +17,7 @@ from jaxcap.one_state.line import Line, Motion
 from jaxcap.one_state.polygon import Survey
 from jaxcap.one_state.reach import reach_time
 from jaxcap.one_state.result import Capturability, Case, Status
-from jaxcap.one_state.swings import farthest_rest, swing
+from jaxcap.one_state.swings import swing
 
 LIMITS = ("min_speed", "max_speed")
 """The capturable speeds of a direction."""
@@ -78,7 +78,7 @@ def capturability_along(motion: Motion, speeds: Num[Array, "k"], fields: tuple[s
 
 def _speeds(line: Line) -> Speeds:
     """By the energy integrals: to stop within alpha is to have no more energy than deceleration takes until there."""
-    polygon, lower, s_min, s_max = line.polygon, line.lower, line.survey.s_min, line.survey.s_max
+    lower, s_min, s_max = line.lower, line.survey.s_min, line.survey.s_max
 
     def stops_within(alpha):
         endless = (alpha == jnp.inf) | (lower.ending == End.FLOORLESS)
@@ -89,12 +89,12 @@ def _speeds(line: Line) -> Speeds:
     if line.quick:
         none, known = jnp.zeros_like(stops), line.survey.known & (lower.ending != End.MAX_PIECES)
         return Speeds(none, none, stops, jnp.where(some, stops, 0), stops, known)
-    farthest = farthest_rest(polygon, s_min, s_max, line.hanging)
     inside = jnp.where(line.hanging, stops_within(s_max), stops)
-    largest = jnp.where(line.hanging, greater(stops_within(farthest.alpha), inside), stops)
+    largest = jnp.where(line.hanging, greater(stops_within(line.farthest.alpha), inside), stops)
     before = jnp.where(line.ahead, lesser(stops_within(s_min), inside), 0)
     smallest = jnp.where(line.ahead, lesser(root(2 * line.upper.gain(s_min)), before), 0)
-    known = line.survey.known & farthest.known & (lower.ending != End.MAX_PIECES) & (line.upper.ending != End.MAX_PIECES)
+    walked = (lower.ending != End.MAX_PIECES) & (line.upper.ending != End.MAX_PIECES) & line.farthest.known
+    known = line.survey.known & walked
     return Speeds(jnp.where(some, smallest, 0), before, inside, jnp.where(some, largest, 0), stops, known)
 
 

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from jaxcap.contacts.cone import CentroidalCone, EffortFaces
 from jaxcap.numerics.guarded import greater, greatest_of, least_of, lesser, ratio, snapped
@@ -54,18 +54,16 @@ class Polygon(NamedTuple):
         value = ratio(self.beyond, self.on_acceleration) + self.fall
         return snapped(value, ratio(self.line.slack * self.line.weight, jnp.abs(self.on_acceleration)))
 
-    def flipped(self) -> "Polygon":
-        """With the acceleration's sign turned: its lower boundary is minus the upper boundary of this one."""
-        return _stored(self._replace(on_acceleration=-self.on_acceleration, fall=-self.fall, start=()))
-
-    def seen_from(self, start: Float[Array, "*n"], heading: int | Float[Array, ""]) -> "Polygon":
-        """With alpha counted from `start`, onwards (heading +1) or back (-1); so is the acceleration."""
+    def seen(
+        self, start: Float[Array, "*n"], heading: int | Float[Array, ""], acceleration: int | Float[Array, ""]
+    ) -> "Polygon":
+        """As `Producer` has it."""
         return _stored(
             self._replace(
-                on_acceleration=heading * self.on_acceleration,
+                on_acceleration=acceleration * self.on_acceleration,
                 on_alpha=heading * self.on_alpha,
                 beyond=self.beyond - self.on_alpha * start,
-                fall=heading * self.fall,
+                fall=acceleration * self.fall,
                 start=(),
             )
         )
@@ -107,12 +105,12 @@ class Polygon(NamedTuple):
     def boundary(
         self,
         limit: Float[Array, "*n"],
-        rising: bool = False,
+        rising: bool | Bool[Array, ""] = False,
         most: int | None = None,
         enough: Float[Array, "*n"] | None = None,
     ) -> Boundary:
         """The lower boundary, as `Producer` has it."""
-        return _boundary(self, *jax.lax.stop_gradient((limit.astype(self.beyond.dtype), enough)), rising, most)
+        return _boundary(self, *jax.lax.stop_gradient((limit.astype(self.beyond.dtype), enough)), jnp.asarray(rising), most)
 
 
 def polygon(
@@ -178,8 +176,8 @@ def _stored(rows: Polygon) -> Polygon:
     return jax.lax.optimization_barrier(rows)
 
 
-@functools.partial(jax.custom_jvp, nondiff_argnums=(3, 4))
-def _boundary(rows: Polygon, limit: Float[Array, "*n"], enough: Array | None, rising: bool, most: int | None) -> Boundary:
+@functools.partial(jax.custom_jvp, nondiff_argnums=(4,))
+def _boundary(rows: Polygon, limit: Float[Array, "*n"], enough: Array | None, rising: Array, most: int | None) -> Boundary:
     lower = rows.on_acceleration < 0
     # Rows that do not bound the acceleration from below get an infinite slope: a walk that meets them is at its end.
     slopes = jnp.where(lower, -ratio(rows.on_alpha, rows.on_acceleration), jnp.inf)
@@ -218,9 +216,9 @@ def _follow(rows: Polygon, slopes: Array, alpha: Array, line: Affine) -> Next:
 
 
 @_boundary.defjvp
-def _boundary_jvp(rising, most, primals, tangents):
+def _boundary_jvp(most, primals, tangents):
     """The search for the active faces is not differentiated; their lines are."""
-    (rows, limit, enough), (change, *_) = primals, tangents
+    (rows, limit, enough, rising), (change, *_) = primals, tangents
     found = _boundary(rows, limit, enough, rising, most)
     pieces = found.pieces
     lower = rows.on_acceleration < 0

@@ -18,6 +18,8 @@ from jaxcap.one_state.boundary import Boundary, End
 from jaxcap.one_state.face_polygon import polygon
 from jaxcap.one_state.polygon import Producer, Survey
 from jaxcap.one_state.ray_polygon import ray_polygon
+from jaxcap.one_state.swings import Farthest, farthest_rest
+from jaxcap.one_state.ways import ways
 
 Cone = CentroidalCone | ConeRays | ActuatedRays
 """What a state may be scored by."""
@@ -44,6 +46,8 @@ class Line(NamedTuple):
     """Smallest acceleration, to its end."""
     upper: Boundary
     """Minus the largest acceleration, to s_min, where the static region is `ahead`."""
+    farthest: Farthest
+    """Place of rest from which the robot is captured, where it is `hanging`."""
     skipped: Int8[Array, "*n"] | None = None
     """What a quick look left out: bits for the lower boundary's end, the way ahead, the way back; zero for nothing. None: it
     was no quick look."""
@@ -192,8 +196,10 @@ def _line(polygon: Producer, survey: Survey, quick: bool, rising: bool) -> Line:
             hanging = ~survey.standing | survey.feasible & (lower.ending != End.DIVERGES)
         skipped = (unfinished + 2 * ahead + 4 * hanging).astype(jnp.int8)
         none = jnp.zeros_like(ahead)
-        return Line(polygon, survey, none, none, lower, jax.tree.map(jnp.zeros_like, lower), skipped)
-    skip = lambda polygon, limit: jax.tree.map(jnp.zeros_like, lower)
-    walk_up = lambda polygon, limit: polygon.flipped().boundary(limit)
-    upper = jax.lax.cond(jnp.any(ahead), walk_up, skip, polygon, jnp.where(ahead, survey.s_min, 0))
-    return Line(polygon, survey, ahead, hanging, lower, upper)
+        farthest = Farthest(survey.s_max, jnp.ones_like(ahead))
+        return Line(polygon, survey, none, none, lower, jax.tree.map(jnp.zeros_like, lower), farthest, skipped)
+    # A static region without length takes no energy.
+    beyond = hanging & (survey.s_max - survey.s_min > same_alpha) & (not rising)
+    upper, outwards, back = ways(polygon, survey, ahead, beyond, lower)
+    farthest = farthest_rest(outwards, back, survey.s_max, beyond)
+    return Line(polygon, survey, ahead, hanging, lower, upper, farthest)

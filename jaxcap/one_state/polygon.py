@@ -50,7 +50,7 @@ class Producer(Protocol):
     def boundary(
         self,
         limit: Float[Array, "*n"],
-        rising: bool = False,
+        rising: bool | Bool[Array, ""] = False,
         most: int | None = None,
         enough: Float[Array, "*n"] | None = None,
     ) -> Boundary:
@@ -61,8 +61,9 @@ class Producer(Protocol):
         Lanes whose limit is not positive are not walked. After `most` pieces (MAX_PIECES) a walk ends with End.MAX_PIECES.
         """
 
-    def flipped(self) -> "Producer":
-        """With the acceleration's sign turned: its lower boundary is minus the upper boundary of this one."""
-
-    def seen_from(self, start: Float[Array, "*n"], heading: int | Float[Array, ""]) -> "Producer":
-        """With alpha counted from `start`, onwards (heading +1) or back (-1); so is the acceleration."""
+    def seen(
+        self, start: Float[Array, "*n"], heading: int | Float[Array, ""], acceleration: int | Float[Array, ""]
+    ) -> "Producer":
+        """With alpha counted from `start`, onwards (heading +1) or back (-1); and the acceleration as it is (+1) or with its
+        sign turned (-1): the lower boundary is then minus the upper boundary of this one.
+        """

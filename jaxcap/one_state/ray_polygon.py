@@ -91,28 +91,20 @@ class RayPolygon(NamedTuple):
         """The same, with a basis to start from."""
         return self._replace(start=survey.start.basis, outcome=survey.start.outcome)
 
-    def flipped(self) -> "RayPolygon":
-        """With the acceleration's sign turned: its lower boundary is minus the upper boundary of this one."""
-        return self._replace(
-            per_acceleration=-self.per_acceleration,
-            forward=-self.forward,
-            fall=-self.fall,
-            start=_turned(self.ready),
-            outcome=None,
-        )
-
-    def seen_from(self, start: Float[Array, "*n"], heading: int | Float[Array, ""]) -> "RayPolygon":
-        """With alpha counted from `start`, onwards (heading +1) or back (-1); so is the acceleration."""
+    def seen(
+        self, start: Float[Array, "*n"], heading: int | Float[Array, ""], acceleration: int | Float[Array, ""]
+    ) -> "RayPolygon":
+        """As `Producer` has it."""
         turned = _turned(self.ready)
-        inverse = jnp.where(jnp.asarray(heading) > 0, self.ready.inverse, turned.inverse)
+        same = jnp.asarray(acceleration) > 0
         return self._replace(
-            per_acceleration=heading * self.per_acceleration,
-            forward=heading * self.forward,
+            per_acceleration=acceleration * self.per_acceleration,
+            forward=acceleration * self.forward,
             per_alpha=heading * self.per_alpha,
             at_rest=self.at_rest.moved(self.per_alpha * start),
             falling=self.falling.moved(self.per_alpha * start),
-            fall=heading * self.fall,
-            start=Basis(self.ready.chosen, inverse),
+            fall=acceleration * self.fall,
+            start=Basis(self.ready.chosen, jnp.where(same, self.ready.inverse, turned.inverse)),
             outcome=None,
         )
 
@@ -149,12 +141,12 @@ class RayPolygon(NamedTuple):
     def boundary(
         self,
         limit: Float[Array, "*n"],
-        rising: bool = False,
+        rising: bool | Bool[Array, ""] = False,
         most: int | None = None,
         enough: Float[Array, "*n"] | None = None,
     ) -> Boundary:
         """The lower boundary, as `Producer` has it."""
-        return _boundary(self, *jax.lax.stop_gradient((limit.astype(self.fall.dtype), enough)), rising, most)
+        return _boundary(self, *jax.lax.stop_gradient((limit.astype(self.fall.dtype), enough)), jnp.asarray(rising), most)
 
     def jiggled(self) -> Float[Array, "6 r *#n"]:
         """The rays of contacts that are moved a little, each in a direction of its own: no two of them tie."""
@@ -263,15 +255,15 @@ def _place(polygon: RayPolygon, sign: int, basis: Basis) -> Float[Array, "*n"]:
     return snapped(jnp.sum(jnp.where(basis.chosen == FREE, held, 0), axis=0), noise)
 
 
-@functools.partial(jax.custom_jvp, nondiff_argnums=(3, 4))
+@functools.partial(jax.custom_jvp, nondiff_argnums=(4,))
 def _boundary(
-    polygon: RayPolygon, limit: Float[Array, "*n"], enough: Array | None, rising: bool, most: int | None
+    polygon: RayPolygon, limit: Float[Array, "*n"], enough: Array | None, rising: Array, most: int | None
 ) -> Boundary:
     return _search(polygon, limit, enough, rising, most, lambda basis: ())[0]
 
 
 def _search(
-    polygon: RayPolygon, limit: Array, enough: Array | None, rising: bool, most: int | None, mark: Callable[[Basis], Any]
+    polygon: RayPolygon, limit: Array, enough: Array | None, rising: Array, most: int | None, mark: Callable[[Basis], Any]
 ) -> tuple[Boundary, Any]:
     """The boundary, and the marks of its pieces' bases."""
     walked = limit > 0
@@ -369,9 +361,9 @@ def _end(polygon: RayPolygon, basis: Basis) -> LineEnd:
 
 
 @_boundary.defjvp
-def _boundary_jvp(rising, most, primals, tangents):
+def _boundary_jvp(most, primals, tangents):
     """The search for the bases is not differentiated; the lines that belong to them are."""
-    (polygon, limit, enough), (change, *_) = primals, tangents
+    (polygon, limit, enough, rising), (change, *_) = primals, tangents
     found, indices = _search(polygon, limit, enough, rising, most, lambda basis: basis.chosen)
     final = jnp.isinf(found.pieces.right)
 

@@ -11,8 +11,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxcap.numerics.guarded import lesser, root, tolerances
-from jaxcap.one_state.boundary import End, Ride
+from jaxcap.numerics.guarded import lesser, root
+from jaxcap.one_state.boundary import Boundary, End, Ride
 from jaxcap.one_state.polygon import Producer
 
 MAX_SWINGS = 64
@@ -28,30 +28,22 @@ class Farthest(NamedTuple):
     """False where the polygon has more edges than are walked."""
 
 
-def farthest_rest(
-    polygon: Producer, s_min: Float[Array, "*n"], s_max: Float[Array, "*n"], hanging: Bool[Array, "*n"]
-) -> Farthest:
-    """The farthest alpha from which, at rest, the robot is captured; s_max in lanes that are not `hanging`.
+def farthest_rest(outwards: Boundary, back: Boundary, s_max: Float[Array, "*n"], beyond: Bool[Array, "*n"]) -> Farthest:
+    """The farthest alpha from which, at rest, the robot is captured; s_max in lanes that are not `beyond`.
 
     The way back to s_max gains at least the energy under the upper boundary; the way on from there can take away as much as
     maximum deceleration does until it diverges or leaves the polygon. A static region without length takes nothing.
     """
-    skip = lambda polygon, s_min, s_max, hanging: Farthest(s_max, jnp.ones_like(hanging))
-    return jax.lax.cond(jnp.any(hanging), _farthest_rest, skip, polygon, s_min, s_max, hanging)
+    skip = lambda outwards, back, s_max, beyond: Farthest(s_max, jnp.ones_like(beyond))
+    return jax.lax.cond(jnp.any(beyond), _farthest_rest, skip, outwards, back, s_max, beyond)
 
 
-def _farthest_rest(polygon, s_min, s_max, hanging):
-    hanging &= s_max - s_min > tolerances(s_max.dtype).same_alpha * polygon.size
-    base = jnp.where(hanging, s_max, 0)
-    limit = jnp.where(hanging, jnp.inf, 0)
-    outwards = polygon.flipped().seen_from(base, 1).boundary(limit, rising=True)
-    most = jnp.where(jnp.isfinite(outwards.end), outwards.gain(outwards.end), jnp.inf)
-    back = polygon.seen_from(base, -1).boundary(limit, enough=most)
+def _farthest_rest(outwards, back, s_max, beyond):
     absorbed = jnp.maximum(-back.gain(back.end), 0)
     everything = (back.ending == End.NEVER) | (back.ending == End.FLOORLESS) | (back.ending == End.LIMIT)
-    beyond = jnp.where(everything, outwards.end, lesser(outwards.negated().ride(absorbed).alpha, outwards.end))
+    further = jnp.where(everything, outwards.end, lesser(outwards.negated().ride(absorbed).alpha, outwards.end))
     known = (back.ending != End.MAX_PIECES) & (outwards.ending != End.MAX_PIECES)
-    return Farthest(jnp.where(hanging, s_max + beyond, s_max), known)
+    return Farthest(jnp.where(beyond, s_max + further, s_max), known)
 
 
 class Swing(NamedTuple):
@@ -84,7 +76,7 @@ def swing(
 
     def once(state: Swing) -> Swing:
         limit, none = jnp.where(state.swinging, jnp.inf, 0), jnp.zeros_like(alpha)  # no further than to the stop
-        lower = polygon.seen_from(state.alpha, state.heading).boundary(limit, enough=none)
+        lower = polygon.seen(state.alpha, state.heading, state.heading).boundary(limit, enough=none)
         at_end = lower.gain(lower.end)
         unknown = lower.ending == End.MAX_PIECES  # it then swings on to the bound, and has no time
         lost = state.swinging & (at_end > 0) & (lower.ending != End.NEVER)

@@ -144,7 +144,7 @@ def _computed(
     survey = rows.survey()
     lower = rows.boundary(jnp.where(survey.feasible, jnp.inf, 0))
     ahead = survey.standing & survey.feasible & (survey.s_min > 0) & survey.pulled_back
-    upper = rows.flipped().boundary(jnp.where(ahead, survey.s_min, 0))
+    upper = rows.seen(jnp.zeros_like(speed), 1, -1).boundary(jnp.where(ahead, survey.s_min, 0))
     walk = _walk(lower, upper, jnp.where(ahead, survey.s_min, 0), speed * speed / 2, case)
     normals = jnp.stack([rows.on_alpha, rows.on_acceleration], axis=1)
     return (normals, rows.bound), survey, walk, lower.end, along, speed

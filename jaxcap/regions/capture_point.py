@@ -8,6 +8,7 @@ plane, (14) has no meaning, and the answer is NaN.
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Num
@@ -57,10 +58,17 @@ def capture_point(
     com, com_velocity = jnp.asarray(com), jnp.asarray(com_velocity)
     dtype = jnp.promote_types(jnp.result_type(com, com_velocity), jnp.float32)
     pull, height = jnp.asarray(checked_gravity(gravity), dtype), jnp.asarray(height, dtype)
+    return _capture_point(com.astype(dtype), com_velocity.astype(dtype), height, pull)
+
+
+@jax.jit
+def _capture_point(
+    com: Float[Array, "*#n 3"], com_velocity: Float[Array, "*#n 3"], height: Float[Array, "*#n"], pull: Float[Array, "3"]
+) -> Float[Array, "*n 2"]:
     square = height / jnp.sqrt(jnp.sum(pull * pull))
     # The root of what is not positive has no gradient, not even where it is not chosen: it is taken of 1.
     time = jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1)), jnp.nan)  # 1 / omega [s]
-    return _projected(com.astype(dtype), pull) + _projected(com_velocity.astype(dtype), pull) * time[..., None]
+    return _projected(com, pull) + _projected(com_velocity, pull) * time[..., None]
 
 
 def height_above_contacts(
@@ -81,8 +89,12 @@ def height_above_contacts(
     """
     com = jnp.asarray(com)
     com = com.astype(jnp.promote_types(com.dtype, jnp.float32))
-    up = upward(jnp.asarray(checked_gravity(gravity), com.dtype))
-    return jnp.sum((com - jnp.asarray(cone.origin, com.dtype)) * up, axis=-1)
+    return _height(com, jnp.asarray(cone.origin, com.dtype), jnp.asarray(checked_gravity(gravity), com.dtype))
+
+
+@jax.jit
+def _height(com: Float[Array, "*n 3"], origin: Float[Array, "*#n 3"], pull: Float[Array, "3"]) -> Float[Array, "*n"]:
+    return jnp.sum((com - origin) * upward(pull), axis=-1)
 
 
 def baselines(
