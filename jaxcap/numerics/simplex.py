@@ -106,7 +106,9 @@ def _checked(program: Program, state: SimplexState) -> SimplexState:
     at_end = (solution.outcome == Outcome.UNBOUNDED) & _flat_out(program, better)
     solution = solution._replace(outcome=jnp.where(at_end, Outcome.OPTIMAL, solution.outcome))
     spoilt = error > SPOILT[jnp.finfo(error.dtype).bits]
-    worn = spoilt & (solution.outcome != Outcome.UNDECIDED) & ~late
+    # The second time an inverse that is as good as rounding lets it be is taken: else such a basis is left and met for ever.
+    again_no_better = state.careful & (error <= _rounding(program, better))
+    worn = spoilt & ~again_no_better & (solution.outcome != Outcome.UNDECIDED) & ~late
     endless = (solution.outcome == Outcome.UNBOUNDED) & ~state.again
     lost = (state.running | spoilt & late) & ~state.again
 
@@ -127,6 +129,12 @@ def _checked(program: Program, state: SimplexState) -> SimplexState:
         checked=~jnp.any(running),
         careful=state.careful | worn,
     )
+
+
+def _rounding(program: Program, basis: Basis) -> Float[Array, "*n"]:
+    """Error of an inverse that rounding alone brings about: its entries, times those of the columns, cancel to 0 and 1."""
+    largest_entry = jnp.maximum(jnp.max(jnp.abs(program.free), axis=0), 1)  # of rays it is about 1
+    return 8 * jnp.finfo(largest_entry.dtype).eps * jnp.max(jnp.abs(basis.inverse), axis=(0, 1)) * largest_entry
 
 
 def _flat_out(program: Program, basis: Basis) -> Bool[Array, "*n"]:
