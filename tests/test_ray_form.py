@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from samplers import random_state, rectangle, rotation
-from states import POINTS, contact_set, each, pieces, random_states, stack
+from states import FORMS, POINTS, contact_set, each, pieces, random_states, stack
 
 import jaxcap
 from jaxcap import Case, Status
@@ -289,3 +289,13 @@ def test_padding_and_vmap_of_cone_rays():
 def test_too_few_sides():
     with pytest.raises(ValueError, match="sides = 2"):
         jaxcap.cone_rays(foot(0, 0), sides=2)
+
+
+def test_along_the_edge_of_the_support_all_is_decided():
+    """By rays alone, however little a line turns from the edge that the CoM stands on: pivots are as small as that angle."""
+    angles = 10.0 ** np.arange(-12, -9, 0.01)
+    towards = np.array([[side * angle, along, 0] for angle in angles for side in (1, -1) for along in (1, -1)])
+    soles = [jaxcap.rectangle([0, side * 0.1, 0], np.eye(3), 0.1, 0.05, 2.0) for side in (1, -1)]
+    cones = stack([FORMS["rays"](soles[0] + soles[1])] * len(towards))
+    found = each()(cones, np.tile([0.1, 0, 0.8], (len(towards), 1)), towards)
+    assert (found.status == Status.OK).all()

@@ -106,8 +106,8 @@ def _checked(program: Program, state: SimplexState) -> SimplexState:
     at_end = (solution.outcome == Outcome.UNBOUNDED) & _flat_out(program, better)
     solution = solution._replace(outcome=jnp.where(at_end, Outcome.OPTIMAL, solution.outcome))
     spoilt = error > SPOILT[jnp.finfo(error.dtype).bits]
-    # The second time an inverse that is as good as rounding lets it be is taken: else such a basis is left and met for ever.
-    again_no_better = state.careful & (error <= _rounding(program, better))
+    # The second time an optimum is taken whose inverse is as good as rounding lets it be: else it is left and met for ever.
+    again_no_better = state.careful & (solution.outcome == Outcome.OPTIMAL) & (error <= _rounding(program, better))
     worn = spoilt & ~again_no_better & (solution.outcome != Outcome.UNDECIDED) & ~late
     endless = (solution.outcome == Outcome.UNBOUNDED) & ~state.again
     lost = (state.running | spoilt & late) & ~state.again
