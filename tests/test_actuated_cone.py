@@ -177,10 +177,11 @@ def test_on_the_host_only():
         jax.jit(lambda limit: jaxcap.actuated_cone(CONTACTS, changed(limit=limit)).offsets)(ARM.limit)
 
 
-def test_faces_and_rays_agree():
-    """Limits of an arm and a leg, and a momentum box; without a box, see the test on TALOS."""
-    faces = scored(jaxcap.actuated_cone(CONTACTS, POSTURE, momentum_box=BOX))
-    rays = by_rays(POSTURE, BOX)
+@pytest.mark.parametrize("box", [0.0, BOX])
+@pytest.mark.parametrize("actuation", [ARM, POSTURE], ids=["arm", "arm and leg"])
+def test_faces_and_rays_agree(actuation, box):
+    faces = scored(jaxcap.actuated_cone(CONTACTS, actuation, momentum_box=box))
+    rays = by_rays(actuation, box)
     agree(faces, rays)
     unheld = (rays.effort > 1) & np.isfinite(rays.effort)
     assert unheld.any() and rays.capturable.sum() > 3
@@ -273,13 +274,14 @@ def test_regions_take_it():
     assert 5 < held.sum() < STATES - 5
 
 
-def test_faces_and_rays_agree_on_talos():
-    """A posture with two hands; what counts are the joints of the arms."""
+@pytest.mark.parametrize("scenario", ["three", "four"])
+def test_faces_and_rays_agree_on_talos(scenario):
+    """A posture with one hand, and one with two; what counts are the joints of the arms."""
     pytest.importorskip("pinocchio")
     from bench.limited import limited
     from reference.evaluation.samples import read
 
-    some, row = limited(read(DATA / "four.parquet", 4), "arms"), 2
+    some, row = limited(read(DATA / f"{scenario}.parquet", 4), "arms"), 2
     contacts, posture = (jax.tree.map(lambda x: x[row], tree) for tree in (some.contacts, some.actuation))
     rng = np.random.default_rng(6)
     coms = some.coms[row] + rng.uniform(-0.1, 0.1, (STATES, 3))

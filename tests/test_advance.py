@@ -135,10 +135,12 @@ def test_one_state_is_a_row_of_many(sample):
 
 
 def test_gradients_equal_central_differences(sample):
-    """With respect to place, velocity and time, backwards, where two steps of the differences agree."""
+    """With respect to place, velocity and time, forwards and backwards, where two steps of the differences agree."""
     cones, states = jax.tree.map(lambda leaf: leaf[:40], (sample[1], np.column_stack([*sample[2:], np.full(SAMPLE, 0.15)])))
     figures = lambda cone, x: jnp.concatenate([(a := jaxcap.advance(cone, x[:3], x[3:6], x[6])).com, a.com_velocity])
     backwards = np.asarray(jax.jit(jax.vmap(jax.jacrev(figures, argnums=1)))(cones, states))
+    forwards = np.asarray(jax.jit(jax.vmap(jax.jacfwd(figures, argnums=1)))(cones, states))
+    np.testing.assert_allclose(backwards, forwards, rtol=1e-9, atol=1e-9)
 
     def value(x):  # by the program of the other tests
         found = jaxcap.advance(cones, x[:, :3], x[:, 3:6], x[:, 6])

@@ -259,11 +259,11 @@ def test_a_warm_start_changes_no_answer(own):
     """Neighbours along a trajectory through many cases, and rows that are no neighbours at all."""
     rng = np.random.default_rng(8)
     contacts = foot(0, 0.1) + foot(0.2, -0.2, 0.3, rotation(0.3, 0.2, 0.1))
-    steps = np.linspace(0, 6, 500)[:, None]
+    steps = np.linspace(0, 8, 1000)[:, None]
     coms = np.array([0.1, 0, 0.7]) + 0.25 * np.sin(steps * [1.0, 1.3, 0.4])
     velocities = 0.4 * np.cos(steps * [1.0, 1.7, 2.1])
-    coms[350:], velocities[350:] = rng.permutation(coms[350:]), rng.permutation(velocities[350:])
-    rays = rays_of([contacts] * 500) if own else jaxcap.cone_rays(contacts.padded(POINTS))
+    coms[700:], velocities[700:] = rng.permutation(coms[700:]), rng.permutation(velocities[700:])
+    rays = rays_of([contacts] * 1000) if own else jaxcap.cone_rays(contacts.padded(POINTS))
     cold = jaxcap.score(rays, coms, velocities)
     warm = jaxcap.score(rays, coms, velocities, neighbours=True)
     assert len(np.unique(cold.case)) > 3
