@@ -93,7 +93,6 @@ class ActuatedPolygon(NamedTuple):
         self, start: Float[Array, "*n"], heading: int | Float[Array, ""], acceleration: int | Float[Array, ""]
     ) -> "ActuatedPolygon":
         """As `Producer` has it."""
-        turned = bounded_basis.turned(self.ready)
         same = jnp.asarray(acceleration) > 0
         return self._replace(
             per_acceleration=acceleration * self.per_acceleration,
@@ -102,7 +101,7 @@ class ActuatedPolygon(NamedTuple):
             at_rest=self.at_rest.moved(self.per_alpha * start),
             falling=self.falling.moved(self.per_alpha * start),
             fall=acceleration * self.fall,
-            start=jax.tree.map(lambda one, other: jnp.where(same, one, other), self.ready, turned),
+            start=jax.tree.map(functools.partial(jnp.where, same), self.ready, bounded_basis.turned(self.ready)),
         )
 
     def survey(self, near: Any = None) -> Survey:

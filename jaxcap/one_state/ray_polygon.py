@@ -95,7 +95,6 @@ class RayPolygon(NamedTuple):
         self, start: Float[Array, "*n"], heading: int | Float[Array, ""], acceleration: int | Float[Array, ""]
     ) -> "RayPolygon":
         """As `Producer` has it."""
-        turned = _turned(self.ready)
         same = jnp.asarray(acceleration) > 0
         return self._replace(
             per_acceleration=acceleration * self.per_acceleration,
@@ -104,7 +103,7 @@ class RayPolygon(NamedTuple):
             at_rest=self.at_rest.moved(self.per_alpha * start),
             falling=self.falling.moved(self.per_alpha * start),
             fall=acceleration * self.fall,
-            start=Basis(self.ready.chosen, jnp.where(same, self.ready.inverse, turned.inverse)),
+            start=jax.tree.map(functools.partial(jnp.where, same), self.ready, _turned(self.ready)),
             outcome=None,
         )
 

@@ -64,7 +64,7 @@ def walk(
     floorless: Bool[Array, "*n"],
     wall: Float[Array, "*n"],
     limit: Float[Array, "*n"],
-    rising: bool | Bool[Array, ""],
+    rising: Bool[Array, ""],
     most: int | None = None,
     enough: Float[Array, "*n"] | None = None,
     mark: Callable[[Any], Any] = lambda memory: (),
@@ -105,7 +105,7 @@ def walk(
 
 
 def _next_piece(
-    follow: Callable, limit: Array, enough: Array | None, rising: bool | Array, mark: Callable, state: WalkState
+    follow: Callable, limit: Array, enough: Array | None, rising: Array, mark: Callable, state: WalkState
 ) -> WalkState:
     """Record the current line; go on along the one that follows, or stop."""
     alpha, line, energy, running, memory, found, marks = state
@@ -116,7 +116,7 @@ def _next_piece(
     # Where the line rises through zero; a line that is nowhere negative ends the walk at once.
     zero = jnp.where(slope > 0, -ratio(intercept, slope), jnp.where((slope == 0) & (intercept >= 0), alpha, jnp.inf))
     zero = jnp.maximum(zero, alpha)
-    diverges = running & (zero <= end) & (zero < jnp.inf) & jnp.logical_not(rising)
+    diverges = running & (zero <= end) & (zero < jnp.inf) & ~rising
     never = running & ~diverges & (end == jnp.inf)
     leaves = running & ~diverges & ~never & following.leaves
     wanted = end < limit
