@@ -29,7 +29,7 @@ import jaxcap
 from bench.process import in_process
 from bench.stances import DATA
 from jaxcap.files.contact_files import read_contacts
-from jaxcap.files.fields import MAPPED
+from jaxcap.files.fields import FIELDS
 from jaxcap.maps.grid import Grid, axes_around, grid_of
 
 CONTACTS = DATA / "talos_two_feet.yaml"
@@ -111,7 +111,8 @@ def main(arguments=None) -> None:
     options = parser.parse_args(arguments)
     if options.states < 2 * RUN:
         parser.error(f"--states {options.states} (expected at least {2 * RUN})")
-    kinds = {"verdict": ("capturable", "margin", "case"), "all": tuple(MAPPED)}
+    # The effort is a posture's, and there is none here
+    kinds = {"verdict": ("capturable", "margin", "case"), "all": tuple(name for name in FIELDS if name != "effort")}
     heads = ("x score", 9), ("states/s", 12), ("score", 12), ("seconds", 9), ("peak", 9), ("file", 9), ("differ", 8)
     print(f"{'map':<9}{'states':>12}" + "".join(f"{head:>{width}}" for head, width in heads))
     lines = []

@@ -135,6 +135,36 @@ def hidden(trees: dict[str, ast.Module]) -> list[str]:
     return sorted(set(found))
 
 
+def missing(importers: dict[str, ast.Module], trees: dict[str, ast.Module]) -> list[str]:
+    """What these import by name from a module of `trees` that has no such name, as `importer: module.name`."""
+    names = {module: _names(tree) for module, tree in trees.items()}
+    packages = {module.split(".")[0] for module in trees}
+    found = []
+    for importer, tree in importers.items():
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Import):
+                wanted = [alias.name for alias in node.names if alias.name.split(".")[0] in packages]
+                found += [f"{importer}: {name}" for name in wanted if name not in trees]
+            elif isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] in packages:
+                inside = [(f"{node.module}.{alias.name}", alias.name) for alias in node.names]
+                known = names.get(node.module or "", set())
+                found += [f"{importer}: {full}" for full, name in inside if full not in trees and name not in known]
+    return sorted(found)
+
+
+def _names(tree: ast.Module) -> set[str]:
+    """What a module binds, wherever in it: too much, but nothing that is at its top is left out."""
+    found = set()
+    for node in ast.walk(tree):
+        if isinstance(node, FUNCTION | ast.ClassDef):
+            found.add(node.name)
+        elif isinstance(node, ast.Import | ast.ImportFrom):
+            found |= {(alias.asname or alias.name).split(".")[0] for alias in node.names}
+        elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
+            found.add(node.id)
+    return found
+
+
 def main(folder: Path = HERE) -> None:
     """Print the figures."""
     trees = modules(folder)

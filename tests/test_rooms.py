@@ -5,7 +5,7 @@ import re
 
 import pytest
 
-from bench.rooms import HERE, arrows, between_rooms, floors, functions, hidden, modules, room, undocumented
+from bench.rooms import HERE, arrows, between_rooms, floors, functions, hidden, missing, modules, room, undocumented
 
 ORDER = (
     "errors",
@@ -111,6 +111,14 @@ def test_no_function_hides_a_module(trees):
     assert not hidden(trees)
 
 
+def test_every_imported_name_is_there():
+    """Also in what no test runs: measurements and campaigns that are begun by hand."""
+    packages = [modules(HERE.parent / name) for name in ("jaxcap", "bench", "reference")]
+    theirs = {name: tree for package in packages for name, tree in package.items()}
+    assert {"jaxcap", "bench.rooms", "reference"} <= set(theirs)
+    assert not missing({**theirs, **modules(HERE.parent / "tests")}, theirs)
+
+
 def test_the_tools_see_what_they_should(tmp_path):
     """On a package of two rooms with one fault of each kind."""
     package = tmp_path / "jaxcap"
@@ -132,3 +140,9 @@ def test_the_tools_see_what_they_should(tmp_path):
     assert hidden(found) == ["jaxcap.numerics.root"]
     assert undocumented(found) == ["jaxcap.files:", "jaxcap.files.table:Table", "jaxcap.numerics.root:root"]
     assert [function.lines for function in functions(found)] == [3]
+    text = "import jaxcap.files.rows\nfrom jaxcap import numerics, shelves\nfrom jaxcap.files.table import Table, Chair\n"
+    assert missing({"user": ast.parse(text)}, found) == [
+        "user: jaxcap.files.rows",
+        "user: jaxcap.files.table.Chair",
+        "user: jaxcap.shelves",
+    ]
