@@ -118,6 +118,33 @@ def test_fields_have_their_types():
     assert {getattr(answer, name).dtype for name in answer._fields[3:]} == {np.dtype(np.float32)}
 
 
+@pytest.mark.parametrize("kinds", [("f4", "f4"), ("f4", "f8"), ("f8", "f8")])
+def test_no_state_is_answered_with_the_types_of_some_and_compiles_nothing(kinds, compiled, x64):
+    coms, velocities = (np.zeros((1, 3), kind) for kind in kinds)
+    some = jax.eval_shape(lambda *states: jaxcap.score(CONE, *states), coms, velocities)
+    compiled.clear()
+    for cone in (CONE, jaxcap.cone_rays(FEET)):
+        none = jaxcap.score(cone, coms[:0], velocities[:0])
+        assert [(x.shape, x.dtype) for x in none] == [((0,), x.dtype) for x in some]
+    assert jax.jit(jaxcap.score)(CONE, coms[:0], velocities[:0]).margin.shape == (0,)
+    assert sum(compiled) < 1
+
+
+def test_rays_of_any_number_of_contacts_share_a_program():
+    """Up to sixteen rays, as up to sixteen faces: contacts change from row to row of a log."""
+    points = np.array([[0.1, 0.1, 0], [0.1, -0.1, 0], [-0.1, 0.1, 0], [-0.1, -0.1, 0.02]])
+    stances = [jaxcap.ContactSet(points[:k], np.eye(3), 0.5) for k in (3, 4)]
+    coms, velocities = states(20)
+    before = jaxcap.batch.score._compiled.jitted._cache_size()
+    by_rays = [jaxcap.score(jaxcap.cone_rays(stance), coms, velocities) for stance in stances]
+    assert jaxcap.batch.score._compiled.jitted._cache_size() - before <= 1
+    for stance, answer in zip(stances, by_rays, strict=True):
+        by_faces = jaxcap.score(jaxcap.centroidal_cone(stance), coms, velocities)
+        np.testing.assert_array_equal(answer.capturable, by_faces.capturable)
+        np.testing.assert_allclose(answer.margin, by_faces.margin, rtol=1e-3, atol=1e-3)
+    assert by_rays[0].capturable.sum() < by_rays[1].capturable.sum()
+
+
 def test_one_bad_row_costs_no_other():
     coms, velocities = states(200)
     good = jaxcap.score(CONE, coms, velocities)

@@ -30,21 +30,24 @@ SMALL_BLOCK = 1 << 9
 """The other size of a block, so that any number of rows meets two programs at most. Up to so many rows are one: what a block
 costs besides its states, sorting its rows first of all, grows with its size."""
 ROWS = 16
-"""Faces are padded to a multiple of this, so that not every contact set is compiled anew."""
+"""Faces and rays are padded to a multiple of this, so that not every contact set is compiled anew. It is what a sole's four
+corners have in rays, of four sides each: soles and palms are not padded."""
 LANES = 64
 """States of a chunk, computed side by side: rows x lanes numbers should fit the cache."""
 
 
 def padded_cone(cone: CentroidalCone | ConeRays) -> CentroidalCone | ConeRays:
-    """The same, faces padded to a multiple of ROWS."""
-    return cone.padded(round_up(max(len(cone.faces), 1), ROWS)) if isinstance(cone, CentroidalCone) else cone
+    """The same, faces or rays padded to a multiple of ROWS."""
+    if isinstance(cone, CentroidalCone):
+        return cone.padded(round_up(max(len(cone.faces), 1), ROWS))
+    return to_host(cone).padded(round_up(max(cone.rays.shape[-2], 1), ROWS))  # JAX would compile the padding of every shape
 
 
 def own_or_common(cone: Cone) -> tuple[ConeRays | ActuatedRays | None, Cone | None]:
     """The cones of each state, or the one of all; the other is None."""
     own = cone if isinstance(cone, ConeRays | ActuatedRays) and cone.batched else None
     if own is not None:
-        return own, None
+        return own if isinstance(own, ActuatedRays) else padded_cone(own), None
     return None, cone if isinstance(cone, ActuatedRays) else padded_cone(cone)
 
 
@@ -73,7 +76,8 @@ def _joined(fields: tuple[Any, ...], n: int) -> Any:
 
 def to_host(tree: Any) -> Any:
     """What lies in the host's memory, and was placed there by nobody, as NumPy's: to cut and pad that compiles nothing."""
-    here = lambda x: isinstance(x, jax.Array) and not x.committed and all(d.platform == "cpu" for d in x.devices())
+    known = lambda x: isinstance(x, jax.Array) and not isinstance(x, jax.core.Tracer)
+    here = lambda x: known(x) and not x.committed and all(d.platform == "cpu" for d in x.devices())
     return jax.tree.map(lambda x: np.asarray(x) if here(x) else x, tree)
 
 

@@ -6,6 +6,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import DTypeLike
 
 from jaxcap.batch.blocks import BLOCK, RAYS_BLOCK, Block, over_blocks, own_or_common
 from jaxcap.batch.devices import Spread, spread_over
@@ -71,10 +72,18 @@ def score(
     states = States(positions, velocities, own, unless_zero(momenta))
     xp: Any = jnp if any(isinstance(leaf, jax.Array) for leaf in jax.tree.leaves(gravity)) else np
     shared = Shared(xp.asarray(gravity, jnp.result_type(positions, jnp.float32)), common)
+    if len(positions) == 0:
+        return _of_no_state(jnp.promote_types(jnp.result_type(positions, velocities), jnp.float32))
     if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves((states, shared.cone))):
         return scored_block(shared, states, neighbours)
     found = _over_devices(shared, states, neighbours)
     return decided(limited, states, gravity, found) if isinstance(limited, ConeRays) else found
+
+
+def _of_no_state(dtype: DTypeLike) -> Capturability:
+    """No answers, for which nothing is compiled."""
+    codes = {"capturable": bool, "case": np.int8, "status": np.int8}
+    return Capturability(*(jax.device_put(np.zeros(0, codes.get(name, dtype))) for name in Capturability._fields))
 
 
 def _over_devices(shared: Shared, states: States, neighbours: bool) -> Capturability:

@@ -167,6 +167,20 @@ class ConeRays(NamedTuple):
         """Whether these are the rays of a batch of contact sets, not of one."""
         return self.rays.ndim == 3
 
+    def padded(self, rows: int) -> "ConeRays":
+        """The same cone with at least this many rows: those added bear nothing.
+
+        Args:
+            rows: wanted, of each contact set.
+        """
+        extra = max(0, rows - self.rays.shape[-2])
+        if not extra:
+            return self
+        lead = [(0, 0)] * (self.rays.ndim - 2)
+        xp_rays, xp_mask = (array.__array_namespace__() for array in (self.rays, self.mask))
+        rays, mask = xp_rays.pad(self.rays, [*lead, (0, extra), (0, 0)]), xp_mask.pad(self.mask, [*lead, (0, extra)])
+        return self._replace(rays=rays, mask=mask)
+
 
 def cone_rays(contacts: ContactSet, sides: int = 4) -> ConeRays:
     """The rays of the contacts' friction pyramids: the centroidal cone without its faces, at no cost.
