@@ -40,6 +40,10 @@ def padded_cone(cone: CentroidalCone | ConeRays) -> CentroidalCone | ConeRays:
     """The same, faces or rays padded to a multiple of ROWS."""
     if isinstance(cone, CentroidalCone):
         return cone.padded(round_up(max(len(cone.faces), 1), ROWS))
+    return _padded_rays(cone)
+
+
+def _padded_rays(cone: ConeRays) -> ConeRays:
     return to_host(cone).padded(round_up(max(cone.rays.shape[-2], 1), ROWS))  # JAX would compile the padding of every shape
 
 
@@ -47,7 +51,7 @@ def own_or_common(cone: Cone) -> tuple[ConeRays | ActuatedRays | None, Cone | No
     """The cones of each state, or the one of all; the other is None."""
     own = cone if isinstance(cone, ConeRays | ActuatedRays) and cone.batched else None
     if own is not None:
-        return own if isinstance(own, ActuatedRays) else padded_cone(own), None
+        return own if isinstance(own, ActuatedRays) else _padded_rays(own), None
     return None, cone if isinstance(cone, ActuatedRays) else padded_cone(cone)
 
 

@@ -73,6 +73,23 @@ class SimplexState(NamedTuple):
     """All have come to an end with inverses that are to be trusted."""
     careful: Bool[Array, "*n"]
     """A pivot that was too small has spoilt an inverse: such a one no longer keeps z from falling without end."""
+    held: "Held"
+    """What the columns of the basis hold, from the turn before. It is carried because XLA's CPU code stores what a loop
+    carries; of what is made within a turn it computes, for each ray, all anew."""
+
+
+class Held(NamedTuple):
+    """What the six columns of a basis hold of the target, and which of them hold what they must not."""
+
+    weights: Float[Array, "6 *n"]
+    missing: Float[Array, "6 *n"]
+    """-1 for a ray below zero, the sign of a unit column that is not zero, else 0."""
+    seeking: Bool[Array, "*n"]
+    """Something is missing: that is made smaller first."""
+    zero: Float[Array, "*n"]
+    """How far below zero a weight is still zero [m/s^2]."""
+    normal: Float[Array, "6 *n"]
+    """Of the face of what is to become smaller: the columns that are missing something, or else the free variable."""
 
 
 def solve(program: Program, basis: Basis, active: Bool[Array, "*n"]) -> Solution:
@@ -84,11 +101,13 @@ def solve(program: Program, basis: Basis, active: Bool[Array, "*n"]) -> Solution
     outcome = jnp.full(active.shape, Outcome.UNDECIDED, jnp.int32)
     solution = Solution(basis, outcome, jnp.zeros(active.shape, jnp.int32))
     none = jnp.zeros_like(active)
-    start = SimplexState(solution, active, ~active, jnp.int32(0), ~active, jnp.zeros((), bool), none)
+    held = _held(program, basis, ~active, jnp.int32(0))
+    start = SimplexState(solution, active, ~active, jnp.int32(0), ~active, jnp.zeros((), bool), none, held)
 
     def one(state: SimplexState) -> SimplexState:
         searching = jnp.any(state.running) & (state.steps < MAX_PIVOTS)
-        return jax.lax.cond(searching, lambda: _step(program, state), lambda: _checked(program, state))
+        state = jax.lax.cond(searching, lambda: _step(program, state), lambda: _checked(program, state))
+        return state._replace(held=_held(program, state.solution.basis, state.flat, state.steps))
 
     return jax.lax.while_loop(lambda state: ~state.checked, one, start).solution
 
@@ -150,16 +169,12 @@ def _flat_out(program: Program, basis: Basis) -> Bool[Array, "*n"]:
 
 def _step(program: Program, state: SimplexState) -> SimplexState:
     """One pivot, or the end."""
-    (basis, outcome, pivots), running, flat, steps, again, checked, careful = state
+    (basis, outcome, pivots), running, flat, steps, again, checked, careful, held = state
     late = steps >= BLAND
-    weights = times(basis.inverse, program.target)
-    zero = _zero(program, basis, weights, steps)
-    held = _held(program, basis, weights, flat, zero)
-    normal = combination(held.objective(basis).astype(held.weights.dtype), basis.inverse)
-    entering, improves = _entering(program, normal, late)
+    entering, improves = _entering(program, held.normal, late)
     improves &= running
     direction = times(basis.inverse, ray(program.rays, entering))
-    leaving, gives_way = _leaving(basis, held, direction, late, zero, careful)
+    leaving, gives_way = _leaving(basis, held, direction, late, careful)
 
     go = improves & gives_way
     stuck = running & ~improves & held.seeking
@@ -171,21 +186,7 @@ def _step(program: Program, state: SimplexState) -> SimplexState:
     outcome = jnp.where(improves & ~gives_way, endless, outcome)
     basis = pivot(basis, leaving, entering, direction, go)
     solution = Solution(basis, outcome.astype(jnp.int32), pivots + go)
-    return SimplexState(solution, go | flattens, flat | flattens, steps + 1, again, checked, careful)
-
-
-class Held(NamedTuple):
-    """What the six columns of a basis hold of the target, and which of them hold what they must not."""
-
-    weights: Float[Array, "6 *n"]
-    missing: Float[Array, "6 *n"]
-    """-1 for a ray below zero, the sign of a unit column that is not zero, else 0."""
-    seeking: Bool[Array, "*n"]
-    """Something is missing: that is made smaller first."""
-
-    def objective(self, basis: Basis) -> Array:
-        """Which columns' weights are to become smaller: those that are missing, or else the free variable's."""
-        return jnp.where(self.seeking, self.missing, basis.chosen == FREE)
+    return SimplexState(solution, go | flattens, flat | flattens, steps + 1, again, checked, careful, held)
 
 
 def _zero(program: Program, basis: Basis, weights: Float[Array, "6 *n"], steps: Int[Array, ""]) -> Float[Array, "*n"]:
@@ -207,13 +208,15 @@ def _size(program: Program, basis: Basis, weights: Float[Array, "6 *n"]) -> Floa
     return program.scale + jnp.max(jnp.abs(program.free), axis=0) * free
 
 
-def _held(
-    program: Program, basis: Basis, weights: Float[Array, "6 *n"], flat: Bool[Array, "*n"], zero: Float[Array, "*n"]
-) -> Held:
+def _held(program: Program, basis: Basis, flat: Bool[Array, "*n"], steps: Int[Array, ""]) -> Held:
+    weights = times(basis.inverse, program.target)
+    zero = _zero(program, basis, weights, steps)
     slack = tolerances(program.target.dtype).slack * _size(program, basis, weights)
     left_over = (basis.chosen <= UNIT) & (jnp.abs(weights) > jnp.where(flat, slack, zero))
     missing = jnp.where((basis.chosen >= 0) & (weights < -zero), -1, jnp.where(left_over, jnp.sign(weights), 0))
-    return Held(weights, missing, jnp.any(missing != 0, axis=0))
+    seeking = jnp.any(missing != 0, axis=0)
+    objective = jnp.where(seeking, missing, basis.chosen == FREE).astype(weights.dtype)
+    return Held(weights, missing, seeking, zero, combination(objective, basis.inverse))
 
 
 def _within_slack(program: Program, basis: Basis, held: Held) -> Bool[Array, "*n"]:
@@ -227,7 +230,8 @@ def _entering(
     program: Program, normal: Float[Array, "6 *n"], late: Bool[Array, ""]
 ) -> tuple[Int[Array, "*n"], Bool[Array, "*n"]]:
     """The ray that lies farthest outside the face with this normal (late: the first that does), and whether one does."""
-    # Stored before it is reduced, or XLA's CPU code computes each product again for every lane of the reduction.
+    # Stored before it is reduced (on a GPU; XLA's CPU code stores it because it is used twice), or each product is computed
+    # again for every lane of the reduction.
     gain = jax.lax.optimization_barrier(combination(normal, program.rays))
     enough = tolerances(gain.dtype).reduced_cost * jnp.max(jnp.abs(normal), axis=0)
     best = jnp.max(gain, axis=0)
@@ -239,7 +243,6 @@ def _leaving(
     held: Held,
     direction: Float[Array, "6 *n"],
     late: Bool[Array, ""],
-    zero: Float[Array, "*n"],
     careful: Bool[Array, "*n"],
 ) -> tuple[Bool[Array, "6 *n"], Bool[Array, "*n"]]:
     """The column that has to leave as a ray comes in, of those that come to zero first, and whether there is one."""
@@ -249,8 +252,8 @@ def _leaving(
     above = jnp.where(missing, jnp.abs(held.weights), jnp.where(is_unit, 0, jnp.maximum(held.weights, 0)))
     bland = 1 / (2.0 + jnp.abs(basis.chosen)).astype(size.dtype)
     preferred = jnp.where(late, bland, size)
-    falls = not_too_small(falls, above, size, zero, careful & ~held.seeking)
-    return leaving_of(falls, above, size, zero, preferred)
+    falls = not_too_small(falls, above, size, held.zero, careful & ~held.seeking)
+    return leaving_of(falls, above, size, held.zero, preferred)
 
 
 def not_too_small(
