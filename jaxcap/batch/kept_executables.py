@@ -31,8 +31,6 @@ PRECISION = ("jax_enable_x64", "jax_default_matmul_precision")
 """Settings of JAX that users change from call to call; the others are looked at when a program is first asked for."""
 ELSEWISE = ("jax_default_device", "jax_disable_jit", "jax_debug_nans", "jax_debug_infs")
 """Settings with which everything is left to `jax.jit`."""
-COMPILED_FOR = {"xla_cpu_multi_thread_eigen": False}
-"""Blocks run side by side, one a core: to share an operation between cores as well is to wait for a core that is busy."""
 DIGEST = hashlib.sha256().digest_size
 """Bytes at the head of a file, which tell whether the rest is whole."""
 
@@ -46,7 +44,7 @@ class Kept:
     """
 
     def __init__(self, function: Callable, *static: str):
-        self.jitted = jax.jit(function, static_argnames=static, compiler_options=COMPILED_FOR)
+        self.jitted = jax.jit(function, static_argnames=static)
         self._name = f"{function.__module__}.{function.__name__}"
         self._ready: dict[Any, Callable] = {}
 
@@ -64,7 +62,7 @@ class Kept:
 
     def _digest(self, asked: tuple) -> str:
         settings = {name: _setting(name) for name in jax.config.values if "cache" not in name}
-        told = self._name, *map(str, asked), settings, COMPILED_FOR, _library(), _machine()
+        told = self._name, *map(str, asked), settings, _library(), _machine()
         return hashlib.sha256(repr(told).encode()).hexdigest()
 
     def _made(self, path: Path, arrays: tuple, static: dict[str, Any]) -> Callable:
