@@ -11,7 +11,7 @@ import pytest
 import jaxcap
 import jaxcap.batch.score
 from jaxcap import Case, Status
-from jaxcap.batch.blocks import BLOCK, LANES, SMALL_BLOCK
+from jaxcap.batch.blocks import BLOCK, LANES, SMALL_BLOCK, padded_cone
 from jaxcap.batch.rounds import unsettled
 
 FEET = jaxcap.rectangle([0, 0.1, 0], np.eye(3), 0.1, 0.05, 0.5) + jaxcap.rectangle([0, -0.1, 0], np.eye(3), 0.1, 0.05, 0.5)
@@ -130,19 +130,17 @@ def test_no_state_is_answered_with_the_types_of_some_and_compiles_nothing(kinds,
     assert sum(compiled) < 1
 
 
-def test_rays_of_any_number_of_contacts_share_a_program():
-    """Up to sixteen rays, as up to sixteen faces: contacts change from row to row of a log."""
+def test_up_to_four_contacts_share_a_program_by_rays():
+    """Up to sixteen rays, as up to sixteen faces: contacts change from row to row of a log. The padding bears nothing."""
     points = np.array([[0.1, 0.1, 0], [0.1, -0.1, 0], [-0.1, 0.1, 0], [-0.1, -0.1, 0.02]])
-    stances = [jaxcap.ContactSet(points[:k], np.eye(3), 0.5) for k in (3, 4)]
-    coms, velocities = states(20)
-    before = jaxcap.batch.score._compiled.jitted._cache_size()
-    by_rays = [jaxcap.score(jaxcap.cone_rays(stance), coms, velocities) for stance in stances]
-    assert jaxcap.batch.score._compiled.jitted._cache_size() - before <= 1
-    for stance, answer in zip(stances, by_rays, strict=True):
-        by_faces = jaxcap.score(jaxcap.centroidal_cone(stance), coms, velocities)
-        np.testing.assert_array_equal(answer.capturable, by_faces.capturable)
-        np.testing.assert_allclose(answer.margin, by_faces.margin, rtol=1e-3, atol=1e-3)
-    assert by_rays[0].capturable.sum() < by_rays[1].capturable.sum()
+    several = [jaxcap.cone_rays(jaxcap.ContactSet(points[:k], np.eye(3), 0.5)) for k in (1, 2, 3, 4)]
+    for cones in (several, [jax.tree.map(lambda leaf: jnp.stack([leaf] * 3), cone) for cone in several]):
+        padded = [padded_cone(cone) for cone in cones]
+        assert len({tuple((leaf.shape, leaf.dtype) for leaf in jax.tree.leaves(cone)) for cone in padded}) == 1
+        for given, cone in zip(cones, padded, strict=True):
+            rows = given.rays.shape[-2]
+            np.testing.assert_array_equal(cone.rays[..., :rows, :], given.rays)
+            assert not np.any(cone.rays[..., rows:, :]) and not np.any(cone.mask[..., rows:])
 
 
 def test_one_bad_row_costs_no_other():

@@ -121,7 +121,7 @@ def test_the_states_differ(runs):
     assert len(np.unique(margin[np.isfinite(margin)])) > 0.6 * len(margin)
 
 
-@pytest.mark.parametrize("run", [f"several{n}" for n in COUNTS] + ["sharded", "own", "map"])
+@pytest.mark.parametrize("run", [f"several{n}" for n in COUNTS if n] + ["sharded", "own", "map"])
 def test_every_device_has_its_share(runs, run):
     devices, rows = np.array(runs[f"used.{run}"]).T
     assert devices.tolist() == list(range(DEVICES))
@@ -130,6 +130,10 @@ def test_every_device_has_its_share(runs, run):
 
 def test_one_device_is_left_alone_where_it_is_asked_for(runs):
     assert not {"used.one", "used.map_on_one"} & set(runs)
+
+
+def test_no_states_ask_for_no_device(runs):
+    assert "several0.margin" in runs and "used.several0" not in runs
 
 
 def test_states_that_lie_on_several_devices(runs):
