@@ -36,23 +36,21 @@ LANES = 64
 """States of a chunk, computed side by side: rows x lanes numbers should fit the cache."""
 
 
-def padded_cone(cone: CentroidalCone | ConeRays) -> CentroidalCone | ConeRays:
-    """The same, faces or rays padded to a multiple of ROWS."""
+def padded_cone(cone: Cone) -> Cone:
+    """The same, faces or rays padded to a multiple of ROWS; with a robot's limits as it is."""
+    if isinstance(cone, ActuatedRays):
+        return cone
     if isinstance(cone, CentroidalCone):
         return cone.padded(round_up(max(len(cone.faces), 1), ROWS))
-    return _padded_rays(cone)
-
-
-def _padded_rays(cone: ConeRays) -> ConeRays:
     return to_host(cone).padded(round_up(max(cone.rays.shape[-2], 1), ROWS))  # JAX would compile the padding of every shape
 
 
 def own_or_common(cone: Cone) -> tuple[ConeRays | ActuatedRays | None, Cone | None]:
-    """The cones of each state, or the one of all; the other is None."""
-    own = cone if isinstance(cone, ConeRays | ActuatedRays) and cone.batched else None
-    if own is not None:
-        return own if isinstance(own, ActuatedRays) else _padded_rays(own), None
-    return None, cone if isinstance(cone, ActuatedRays) else padded_cone(cone)
+    """The cones of each state, or the one of all, padded; the other is None."""
+    padded = padded_cone(cone)
+    if isinstance(padded, ConeRays | ActuatedRays) and padded.batched:
+        return padded, None
+    return None, padded
 
 
 def over_blocks(run: Callable[["Block"], Any], rows: Any, n: int, block: int, shares: int = 1) -> Any:

@@ -17,7 +17,7 @@ from jaxcap.contacts.actuation import Actuation, with_limits
 from jaxcap.contacts.cone import CentroidalCone, ConeRays
 from jaxcap.contacts.conventions import GRAVITY, ArrayLike, checked_gravity
 from jaxcap.contacts.scoring_input import as_given, check_cone, relative, rounded, unless_zero
-from jaxcap.one_state.result import Capturability
+from jaxcap.one_state.result import CODES, Capturability
 
 
 def score(
@@ -82,8 +82,7 @@ def score(
 
 def _of_no_state(dtype: DTypeLike) -> Capturability:
     """No answers, for which nothing is compiled."""
-    codes = {"capturable": bool, "case": np.int8, "status": np.int8}
-    return Capturability(*(jax.device_put(np.zeros(0, codes.get(name, dtype))) for name in Capturability._fields))
+    return Capturability(*(jax.device_put(np.zeros(0, CODES.get(name, dtype))) for name in Capturability._fields))
 
 
 def _over_devices(shared: Shared, states: States, neighbours: bool) -> Capturability:

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import DTypeLike
 
-from jaxcap.one_state.result import Capturability, Case, Status
+from jaxcap.one_state.result import CODES, Capturability, Case, Status
 from jaxcap.regions.capture_point import Baselines
 
 
@@ -139,8 +139,7 @@ LINE_WIDTH = 79
 
 def output_types(dtype: DTypeLike, fields: Iterable[str] = tuple(FIELDS)) -> dict[str, np.dtype]:
     """NumPy type of each column that is added, with figures in `dtype`."""
-    codes = {"capturable": np.dtype(bool), "case": np.dtype(np.int8), "status": np.dtype(np.int8)}
-    return {name: codes.get(name, np.dtype(dtype)) for name in fields}
+    return {name: CODES.get(name, np.dtype(dtype)) for name in fields}
 
 
 def output_columns(answers: Capturability | Baselines, dtype: DTypeLike) -> dict[str, np.ndarray]:

@@ -218,7 +218,7 @@ def _cast(values: np.ndarray, dtype: DTypeLike) -> np.ndarray:
 
 def _equally_long(cones: Sequence[Cone]) -> list[Cone]:
     """Cones with equally many faces, for which one program serves."""
-    padded = [cone if isinstance(cone, ActuatedRays) else padded_cone(cone) for cone in cones]
+    padded = [padded_cone(cone) for cone in cones]
     rows = max(len(cone.faces) for cone in padded if isinstance(cone, CentroidalCone)) if len(padded) > 1 else 0
     return [cone.padded(rows) if rows and isinstance(cone, CentroidalCone) else cone for cone in padded]
 

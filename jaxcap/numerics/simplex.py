@@ -59,6 +59,20 @@ class Solution(NamedTuple):
     pivots: Int[Array, "*n"]
 
 
+class Held(NamedTuple):
+    """What the six columns of a basis hold of the target, and which of them hold what they must not."""
+
+    weights: Float[Array, "6 *n"]
+    missing: Float[Array, "6 *n"]
+    """-1 for a ray below zero, the sign of a unit column that is not zero, else 0."""
+    seeking: Bool[Array, "*n"]
+    """Something is missing: that is made smaller first."""
+    zero: Float[Array, "*n"]
+    """How far below zero a weight is still zero [m/s^2]."""
+    normal: Float[Array, "6 *n"]
+    """Of the face of what is to become smaller: the columns that are missing something, or else the free variable."""
+
+
 class SimplexState(NamedTuple):
     """Where the simplex stands."""
 
@@ -73,23 +87,9 @@ class SimplexState(NamedTuple):
     """All have come to an end with inverses that are to be trusted."""
     careful: Bool[Array, "*n"]
     """A pivot that was too small has spoilt an inverse: such a one no longer keeps z from falling without end."""
-    held: "Held"
+    held: Held
     """What the columns of the basis hold, from the turn before. It is carried because XLA's CPU code stores what a loop
     carries; of what is made within a turn it computes, for each ray, all anew."""
-
-
-class Held(NamedTuple):
-    """What the six columns of a basis hold of the target, and which of them hold what they must not."""
-
-    weights: Float[Array, "6 *n"]
-    missing: Float[Array, "6 *n"]
-    """-1 for a ray below zero, the sign of a unit column that is not zero, else 0."""
-    seeking: Bool[Array, "*n"]
-    """Something is missing: that is made smaller first."""
-    zero: Float[Array, "*n"]
-    """How far below zero a weight is still zero [m/s^2]."""
-    normal: Float[Array, "6 *n"]
-    """Of the face of what is to become smaller: the columns that are missing something, or else the free variable."""
 
 
 def solve(program: Program, basis: Basis, active: Bool[Array, "*n"]) -> Solution:

@@ -50,6 +50,10 @@ class Status(IntEnum):
     contacts that their size is lost in rounding, or faster than light; undecided."""
 
 
+CODES: dict[str, np.dtype] = {"capturable": np.dtype(bool), "case": np.dtype(np.int8), "status": np.dtype(np.int8)}
+"""The fields of an answer that are no figures, by their types: all others have that of the state."""
+
+
 class Capturability(NamedTuple):
     """The answer for one state, or arrays of answers with one leading axis for many.
 
