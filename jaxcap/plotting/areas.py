@@ -111,7 +111,7 @@ def velocity_areas(
     if (np.asarray(areas.max_speed) > longest).any():
         look: dict[str, Any] = {"facecolor": to_rgba(color, 0.45), "edgecolor": color, "linewidth": 0, "hatch": BEYOND}
         handles.append(Patch(label="faster than shown", **look))
-    ax.legend(handles=handles, loc="best", framealpha=0.9).set_zorder(9)
+    ax.legend(handles=handles, loc="upper left", bbox_to_anchor=(1.01, 1), borderaxespad=0)  # covers nothing
     return ax
 
 

@@ -74,8 +74,8 @@ def _overview(dataset: "xr.Dataset", sets: Sequence[ContactSet], selection: dict
     for ax in (left, right):
         _below(ax, stance)
     figure.suptitle(left.get_title().replace("\n", " "))
-    left.set_title("largest speed that can be stopped whatever its heading")
-    right.set_title("velocities that can be stopped, from where the dots are")
+    left.set_title("largest speed that can be stopped\nwhatever its heading")
+    right.set_title("velocities that can be stopped,\nfrom where the dots are")
     return figure
 
 
